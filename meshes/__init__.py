@@ -1,1 +1,1 @@
-"""Meshes of a bristle: hexahedra by gmsh, a mesh of the user's own, quality, files."""
+"""Meshes of a bristle: hexahedra by gmsh, or a user's own mesh; quality checks, files."""

@@ -1,4 +1,4 @@
-"""Checks of the mesh in gmsh's current model: that it is sound, and the one that was asked for."""
+"""Checks of the mesh in gmsh's current model: that it is valid and matches its specification."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ class MeshError(RuntimeError):
 class Cells:
     """The cells of a mesh: their ``kind``, gmsh's number for it, the geometry's ``degree``.
 
-    ``points`` (n, 3) are the places of gmsh's nodes, ``corners`` (cells, 4 or 8) index them, so do
-    ``used`` (m,), all nodes of cells; ``tags`` (cells,) are gmsh's numbers of the cells.
+    ``points`` (n, 3) are the positions of gmsh's nodes. ``corners`` (cells, 4 or 8) and ``used``
+    (m,), all nodes of cells, are indices into them. ``tags`` (cells,) are gmsh's numbers of the
+    cells.
     """
 
     kind: str
@@ -77,7 +78,7 @@ class Cells:
 def read_cells(where: str) -> Cells:
     """The cells of gmsh's current model, which must be of one kind.
 
-    Raises MeshError, which says ``where``.
+    Raises MeshError, whose message names ``where``.
     """
     kinds, tags, nodes = gmsh.model.mesh.getElements(3)
     names = [gmsh.model.mesh.getElementProperties(kind) for kind in kinds]
@@ -117,7 +118,7 @@ def read_cells(where: str) -> Cells:
 
 
 def require_one_part(where: str, cells: Cells) -> None:
-    """MeshError, which says ``where``, unless the cells hang together by their faces."""
+    """Raise MeshError, which names ``where``, unless the cells are connected by their faces."""
     faces = cells.faces
     first = np.arange(0, faces.size + 1, faces.shape[1])
     touching = csr_matrix((np.ones(faces.size), faces.ravel(), first))
@@ -130,14 +131,14 @@ def require_one_part(where: str, cells: Cells) -> None:
 
 
 def quadrature_m3(where: str, cells: Cells, degree: int) -> tuple[Array, Array]:
-    """Volume (cells, q) in m³ that each point of Gauss's rule of a ``degree`` stands for, and where
-    these are (cells, q, 3).
+    """Volume (cells, q) in m³ at each point of the Gauss rule of a ``degree``, and the points
+    (cells, q, 3).
 
-    Raises MeshError, which says ``where``, where a cell is turned inside out, at these points or
-    between them (gmsh's bound).
+    Raises MeshError, which names ``where``, if a cell is inverted, at these points or between them
+    (gmsh's bound).
     """
     points, weights = gmsh.model.mesh.getIntegrationPoints(cells.gmsh_type, f"Gauss{degree}")
-    # gmsh has its rules on tetrahedra to twelve digits
+    # gmsh's rules on tetrahedra have twelve digits
     weights *= REFERENCE_VOLUME[cells.kind] / math.fsum(weights)
     _, determinants, places = gmsh.model.mesh.getJacobians(cells.gmsh_type, points)
     per_cell = determinants.reshape(-1, len(weights))

@@ -1,4 +1,4 @@
-"""Work of one rank, or its failure, that ends on all; a communicator for a process alone."""
+"""Work of one rank with its result or error on all, and a communicator for a lone process."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class _Alone:
-    """A communicator of one rank, as far as this program calls it itself.
+    """A communicator of one rank, with the methods that this program itself calls.
 
-    Loading MPI takes a fifth of a second. A drop of a beam does without.
+    Loading MPI takes a fifth of a second, which a drop of a beam can avoid.
     """
 
     rank, size = 0, 1
@@ -32,12 +32,12 @@ class _Alone:
 
 
 ALONE = cast("MPI.Intracomm", _Alone())
-# Ranks that fail together reach the end within this time of each other.
+# Ranks that fail together end within this time of each other.
 GRACE_S = 5.0
 
 
 def with_mpi(comm: MPI.Intracomm) -> MPI.Intracomm:
-    """``comm`` as dolfinx takes it: MPI's own, also for one that is `ALONE`."""
+    """``comm`` for dolfinx: MPI's own, also if it is `ALONE`."""
     if not isinstance(comm, _Alone):
         return comm
     from mpi4py import MPI
@@ -50,9 +50,9 @@ def run_on_one_rank[Result](
 ) -> Result:
     """Run `action` on `rank` alone, and return its result on every rank; collective.
 
-    The others wait: it must communicate with nobody, and its result be picklable. What it raises
-    is raised on every rank, so that none waits for one that has given up; as a `RuntimeError` with
-    the same message where the error itself cannot be sent.
+    The others wait, so it must not communicate, and its result must be picklable. An exception is
+    raised on every rank, so that none waits forever; if it cannot be pickled, as a `RuntimeError`
+    with the same message.
     """
     if comm.size == 1:
         return action()
@@ -61,7 +61,7 @@ def run_on_one_rank[Result](
     if comm.rank == rank:
         try:
             result = action()
-        except Exception as raised:  # whatever it is, the others wait for it
+        except Exception as raised:  # any error, as the others wait
             error = raised
     outcome = (result, _sendable(error)) if comm.rank == rank else None
     result, sent_error = comm.bcast(outcome, root=rank)
@@ -73,16 +73,17 @@ def run_on_one_rank[Result](
 
 
 class Parting:
-    """How the ranks leave what they can close only together; collective."""
+    """Agreement of the ranks on when to leave operations that need all of them; collective."""
 
     def __init__(self, comm: MPI.Intracomm) -> None:
-        # of its own, so that how the ranks end meets no other collective call
+        # separate, so as not to interfere with other collective calls
         self._comm = comm.Dup() if comm.size > 1 else None
 
     def together(self, error: object) -> bool:
         """Whether all ranks end now, this one with an ``error`` or None.
 
-        One that fails waits `GRACE_S` for the others. If it leaves without them, they hear of it.
+        A rank that fails waits `GRACE_S` for the others. If it leaves without them, they are
+        notified.
         """
         if self._comm is None:
             return True
@@ -94,7 +95,7 @@ class Parting:
         if here:
             done_within(heard, math.inf)
             return not gone[0]
-        self._left = heard, left, gone  # which others may still read
+        self._left = heard, left, gone  # others may still read these
         return False
 
     def close(self) -> None:
@@ -105,7 +106,7 @@ class Parting:
 
 
 def done_within(request: Any, seconds: float) -> bool:
-    """Whether ``request`` is completed within the time."""
+    """Whether ``request`` completes within the time."""
     until = time.monotonic() + seconds
     while not request.Test():
         if time.monotonic() > until:

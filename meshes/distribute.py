@@ -26,12 +26,12 @@ def to_dolfinx(
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     partitioner: Callable | None = None,
 ) -> tuple[Mesh, MeshTags, MeshTags]:
-    """Build the mesh of `spec` on rank 0 and share it out over `comm`; collective.
+    """Build the mesh of `spec` on rank 0 and distribute it over `comm`; collective.
 
     Returns mesh, cell tags and facet tags: coordinates in metres, geometry of `geometry_order`,
     both tags with the values of `Tag`, e.g. ``facet_tags.find(Tag.TIP)``. `partitioner` is that of
     `dolfinx.mesh.create_mesh`, by default dolfinx' own, without ghost cells. Raises MeshError, with
-    one message on all ranks, where gmsh failed or the mesh is not what was asked for.
+    the same message on all ranks, if gmsh fails or the mesh does not match `spec`.
     """
 
     def open_model(stack: ExitStack) -> None:
@@ -72,10 +72,10 @@ def distribute(
     expected_m3: float,
     partitioner: Callable | None = None,
 ) -> tuple[Mesh, MeshTags, MeshTags]:
-    """Share out the gmsh model that ``open_model`` opens on rank 0; collective.
+    """Distribute the gmsh model that ``open_model`` opens on rank 0; collective.
 
-    ``expected`` cells and facets by group, and the volume ``expected_m3``, must arrive. Returns and
-    raises what `to_dolfinx` does.
+    The numbers of cells and facets by group, ``expected``, and the volume ``expected_m3`` are
+    checked afterwards. Returns and raises as `to_dolfinx`.
     """
     with ExitStack() as stack:
         run_on_one_rank(comm, lambda: open_model(stack), BUILDER_RANK)
@@ -105,7 +105,8 @@ def coordinate_element(mesh: Mesh) -> basix.finite_element.FiniteElement:
 
 
 def volume_m3(mesh: Mesh) -> float:
-    """Return the volume of all ranks' cells, m³; collective. No form, which would be compiled."""
+    """Return the volume of all ranks' cells, m³; collective. Needs no form, and so no
+    compilation."""
     element = coordinate_element(mesh)
     degree = determinant_degree(element.degree)
     points, weights = basix.make_quadrature(element.cell_type, degree)
@@ -122,7 +123,7 @@ def volume_m3(mesh: Mesh) -> float:
 def _check_distributed(
     mesh: Mesh, facet_tags: MeshTags, expected: dict[Tag, int], expected_m3: float
 ) -> None:
-    """Require that nothing was lost on the way; every rank sees the same sums, so all raise."""
+    """Require that nothing was lost; every rank sees the same sums, so all raise."""
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_global
     for tag, number in expected.items():
         found = n_cells if tag is Tag.BODY else count_facets(mesh, facet_tags, tag)
@@ -130,7 +131,7 @@ def _check_distributed(
             name = tag.name.lower()
             raise MeshError(f"After distribution the {name} has {found} of {number} entities.")
     volume = volume_m3(mesh)
-    # Summing n cells one after another may lose n units of round-off.
+    # Summing n cells in sequence may lose n units of round-off.
     round_off = n_cells * np.finfo(float).eps
     if not abs(volume / expected_m3 - 1) <= VOLUME_TOLERANCE + round_off:
         raise MeshError(

@@ -1,8 +1,8 @@
-"""Geometry of a bristle, and how finely it is meshed.
+"""Geometry of a bristle and of its mesh.
 
-A `MeshSpec` says everything that a mesh depends on and is checked when it is made, so that
-nothing downstream has to ask again.  The bristle stands on the plane z = 0: its tip is the
-face z = 0, its top the face z = length, and the section is centred on the z axis.
+A `MeshSpec` holds everything that a mesh depends on. It is checked when it is made, so nothing
+downstream has to check again. The bristle stands on the plane z = 0: its tip is the face z = 0, its
+top the face z = length, and the section is centred on the z axis.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Hexahedral meshes of a bristle, by gmsh.
 
-The section is meshed with transfinite, recombined quadrilaterals and extruded layer by layer,
-so there is no step at which gmsh could leave anything but a hexahedron behind.  A rectangle is
-one block; a circle is five (an O-grid): a square core with bulging sides, and four blocks between
-it and the circle.
+The section is meshed with transfinite, recombined quadrilaterals and extruded layer by layer, so
+all cells are hexahedra. A rectangle is one block. A circle is five (an O-grid): a square core with
+bulging sides, and four blocks between it and the circle.
 """
 
 from __future__ import annotations
@@ -49,11 +48,11 @@ _OPTIONS = {
 
 @contextmanager
 def gmsh_model(name: str = "bristle") -> Iterator[None]:
-    """Provide an empty, quiet gmsh model, and leave gmsh as it was found.
+    """Provide an empty, quiet gmsh model, and restore gmsh afterwards.
 
-    One thread at a time gets in, because gmsh keeps its state in the process.  A gmsh that the
-    caller has already initialised stays so, with its options and its current model restored; one
-    that was not is finalised again.
+    Only one thread at a time may enter, because gmsh's state is global to the process. If the
+    caller has initialised gmsh, it stays initialised, with its options and its current model
+    restored; otherwise it is finalised.
     """
     with _gmsh_lock:
         ours = not gmsh.isInitialized()
@@ -77,9 +76,9 @@ def gmsh_model(name: str = "bristle") -> Iterator[None]:
 
 
 def _initialise() -> None:
-    """Initialise gmsh, also outside the main thread and without its leaving files behind."""
+    """Initialise gmsh, also outside the main thread, without leaving files behind."""
     home = os.environ.get("HOME")
-    # The toolkit of gmsh's windows would make a folder .fltk there, windows or none.
+    # gmsh's GUI toolkit would create a folder .fltk there, even without windows.
     os.environ["HOME"] = os.devnull
     try:
         gmsh.initialize(readConfigFiles=False, run=False, interruptible=False)
@@ -144,7 +143,7 @@ def _arcs(points: list[int], radius_m: float, bulge: float, cells: int) -> list[
     geo = gmsh.model.geo
     half_chord = radius_m * math.sin(math.pi / 4)
     sagitta = bulge * (radius_m - half_chord)
-    # Of the circle that the arc is part of: its radius, and its centre's distance from the axis.
+    # Radius of the arc's circle, and distance of its centre from the axis.
     arc_radius = (half_chord**2 + sagitta**2) / (2 * sagitta)
     offset = arc_radius - half_chord - sagitta
     arcs = []

@@ -1,4 +1,4 @@
-"""A bristle on the user's own mesh: gmsh's tetrahedra or hexahedra, checked and measured."""
+"""A bristle on a user's own mesh: gmsh's tetrahedra or hexahedra, checked and measured."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ Array = npt.NDArray[np.float64]
 
 HEADER = b"$MeshFormat"
 LONGEST_M, SHORTEST_M = 10.0, 1e-4
-# Of the longest side of the box about a mesh: less along z, and z is not the axis.
+# Least extent along z over the longest side of the mesh's box; with less, z is not the axis.
 SLENDER = 0.5
-# Products of inertia over the largest moment, up to which the file's axes are principal.
+# Largest products of inertia, over the largest moment, at which the file's axes are principal.
 PRINCIPAL = 1e-6
-# Of the tip's size: offset of the centre of mass, and height of the tip, that count as none.
+# Offset of the centre of mass and height of the tip, over the tip's size, that count as none.
 STRAIGHT = 1e-6
 # The physical group of the facets that may touch.
 TIP = "tip"
-# Of a facet's unit normal: less than this downward, and it faces sideways or up.
+# A facet whose unit normal points less than this downward faces sideways or up.
 DOWNWARD = 1e-3
-# Of the body's height: how far above its lowest point a tip may begin.
+# Largest height of a tip above the body's lowest point, over the body's height.
 LOWEST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class OwnMesh:
-    """What a mesh file holds: the body's measures, in the axes of the file.
+    """Measures of the body in a mesh file, in the axes of the file.
 
-    ``counts`` are its corners, edges, faces and cells; ``cell`` names their kind, ``degree`` that
-    of their geometry. ``second_moments_m5`` (3, 3) are the integrals of x xᵀ about the centre of
-    volume ``centre_m`` (3,). ``box_m`` and ``tip_box_m`` (2, 3) have the lowest and highest
+    ``counts`` are its corners, edges, faces and cells; ``cell`` names their kind, ``degree`` is
+    that of their geometry. ``second_moments_m5`` (3, 3) are the integrals of x xᵀ about the centre
+    of volume ``centre_m`` (3,). ``box_m`` and ``tip_box_m`` (2, 3) are the lowest and highest
     coordinates of the body and of the tip, ``tip_centre_m`` (3,) is the tip's centre of area.
     """
 
@@ -74,16 +74,16 @@ class OwnMesh:
 
     @property
     def mean_section(self) -> Rectangle:
-        """As `tip_section`, but with the section's area that volume and length give."""
+        """As `tip_section`, but with the area that follows from volume and length."""
         tip = self.tip_section
         scale = math.sqrt(self.volume_m3 / self.length_m / tip.area_m2)
         return Rectangle(scale * tip.thickness_m, scale * tip.width_m)
 
     @cached_property
     def axes(self) -> Array:
-        """The principal axes as columns (3, 3), each the one nearest to the file's x, y, z.
+        """The principal axes as columns (3, 3), each the nearest to the file's x, y, z.
 
-        The file's own axes where they are principal.
+        They are the file's own axes if these are principal.
         """
         moments = self.second_moments_m5
         inertia = np.trace(moments) * np.eye(3) - moments
@@ -103,7 +103,8 @@ class OwnMesh:
     def straight(self) -> bool:
         """Whether an impact on the tip from below loads the body along its axis alone.
 
-        Its axes are principal, its centre stands over that of the tip, and the tip is flat.
+        That is so if its axes are principal, its centre is above that of the tip, and the tip is
+        flat.
         """
         small = STRAIGHT * max(self.tip_section.thickness_m, self.tip_section.width_m)
         beside = np.abs(self.centre_m - self.tip_centre_m)[:2].max()
@@ -119,7 +120,7 @@ class OwnMesh:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a mesh file. Raises MeshError where it cannot be read."""
+    """SHA-256 of a mesh file. Raises MeshError if it cannot be read."""
     try:
         return _digest(path, path.stat().st_mtime_ns, path.stat().st_size)
     except OSError as error:
@@ -138,7 +139,7 @@ def _digest(path: Path, modified_ns: int, size: int) -> str:
 def own_mesh(path: Path, sha256: str) -> OwnMesh:
     """Read, check and measure the mesh in ``path``, whose digest is ``sha256``.
 
-    MeshError says, in one line, why the file is not a mesh of a bristle as `OwnMesh` describes it.
+    Raises MeshError with one line that says why the file is not a mesh of a bristle.
     """
     with opened(path, sha256):
         cells = read_cells(str(path))
@@ -178,7 +179,7 @@ def opened(path: Path, sha256: str) -> Iterator[None]:
 
 
 def regroup() -> None:
-    """Have all volumes in one group and the tip in another, and no others."""
+    """Put all volumes into one physical group and the tip into another, and remove the others."""
     tip = gmsh.model.getEntitiesForPhysicalName(TIP)
     gmsh.model.removePhysicalGroups()
     volumes = [tag for _, tag in gmsh.model.getEntities(3)]
@@ -187,7 +188,7 @@ def regroup() -> None:
 
 
 def _moments(path: Path, cells: Cells) -> tuple[float, Array, Array]:
-    """Volume, centre and second moments about it; MeshError where a cell is turned inside out."""
+    """Volume, centre and second moments about it; MeshError if a cell is inverted."""
     volumes, places = quadrature_m3(str(path), cells, 5 * cells.degree - 1)
     parts: Array = volumes.ravel()
     x: Array = places.reshape(-1, 3)
@@ -215,11 +216,11 @@ def _check_size(path: Path, box: Array) -> None:
 
 
 def _checked_tip(path: Path, cells: Cells) -> tuple[int, Array, Array]:
-    """How many facets the physical group `TIP` has, the lowest and highest coordinates of their
+    """Number of facets in the physical group `TIP`, the lowest and highest coordinates of their
     nodes (2, 3), and their centre of area (3,).
 
-    They must be of the boundary, at its lower end, and face down: raises MeshError with the name of
-    the file and of the group.
+    The facets must be on the boundary, at its lower end, and face down. Otherwise raises MeshError
+    with the names of the file and of the group.
     """
     where = f"{path}: the physical group '{TIP}'"
     facets, numbers = _tip_facets(path, where)

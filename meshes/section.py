@@ -1,7 +1,7 @@
 """Cross-sections of a bristle, centred on the axis: x is the thin side, y the wide side.
 
-Each knows its area, second moments and torsion constant, Timoshenko's shear coefficient, and the
-points of an end section that can touch.
+Each provides its area, second moments, torsion constant, Timoshenko's shear coefficient, and the
+contact points of an end section.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def require_positive(name: str, value: object) -> None:
 class Rectangle:
     """A flat wire, ``thickness_m`` along x and ``width_m`` along y; ValueError unless positive.
 
-    The paper's, unless said otherwise.
+    The defaults are the paper's.
     """
 
     thickness_m: float = 0.50e-3
@@ -105,11 +105,11 @@ class Circle:
         return 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)
 
     def contact_points(self, n: int) -> tuple[Array, Array]:
-        """The centre and rings of eight or more, the rim among them, and area weights: exact to
+        """The centre and rings of eight or more points, one on the rim, and area weights: exact to
         degree n - 2 in r².
 
-        With s = r²/R² the area of a ring is proportional to ds: Gauss-Lobatto's rule in s. A ring
-        has twice as many points as lie across the section.
+        With s = r²/R² the area of a ring is proportional to ds: Gauss-Lobatto rule in s. A ring has
+        twice as many points as lie across the section.
         """
         rings = n // 2 + 1
         s, w = gauss_lobatto(rings)

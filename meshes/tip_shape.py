@@ -1,4 +1,4 @@
-"""Shapes of the end face: how far a worn or chamfered one stands back from a plane.
+"""Shapes of the end face: the offset of a worn or chamfered face from a plane.
 
 The section is centred on x = y = 0: thickness along x and width along y, or a round wire.
 """
@@ -22,28 +22,28 @@ OUTSIDE = 1e-6
 
 
 class TipShape(Protocol):
-    """The shape of an end face; ValueError where a parameter is out of its range."""
+    """The shape of an end face; ValueError if a parameter is out of range."""
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
-        """How far the face stands back at the places (x, y) of the section, m, each (n,).
+        """Offset of the face at positions (x, y) of the section, m, each (n,).
 
-        Never negative, and 0 at the lowest place of the face. ValueError where a place is outside
-        the section, or the shape does not fit on it.
+        It is never negative, and 0 at the lowest place of the face. ValueError if a position is
+        outside the section, or the shape does not fit on it.
         """
         ...
 
 
 def half_breadth_m(section: Section) -> float:
-    """Largest distance that a place in the section can have from the nearest edge, m."""
+    """Largest distance of a position in the section from the nearest edge, m."""
     if isinstance(section, Rectangle):
         return min(section.thickness_m, section.width_m) / 2
     return section.diameter_m / 2
 
 
 def edge_distance_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
-    """Distance of the places (x, y) from the nearest edge of the section, m, each (n,).
+    """Distance of positions (x, y) from the nearest edge of the section, m, each (n,).
 
-    ValueError where one is outside the section, by more than rounding.
+    ValueError if one is outside the section by more than rounding.
     """
     x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
     limit = half_breadth_m(section)
@@ -59,7 +59,7 @@ def edge_distance_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) ->
 def _within_m(
     name: str, breadth_m: float, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section
 ) -> Array:
-    """How far the places (x, y) are within an edge that is ``breadth_m`` broad, m, each (n,)."""
+    """Distance of positions (x, y) within an edge of width ``breadth_m``, m, each (n,)."""
     room = half_breadth_m(section)
     if breadth_m > room * (1 + 1e-9):
         raise ValueError(f"{name} {breadth_m:g} is more than half the section, {room:g} m.")
@@ -78,8 +78,8 @@ class Flat:
 class Chamfer:
     """All edges of the face cut off along planes (the rim of a round wire along a cone).
 
-    ``width_m`` is how far the chamfer reaches into the face from its edge, ``angle_deg`` the angle
-    between the chamfer and the face, above 0 and below 90°.
+    ``width_m`` is the chamfer's extent into the face from its edge, ``angle_deg`` the angle between
+    chamfer and face, above 0 and below 90°.
     """
 
     width_m: float
@@ -118,10 +118,10 @@ class Rounded:
 
 @dataclass(frozen=True)
 class Worn:
-    """A plane face that slants, as a leaning bristle wears it.
+    """A slanted plane face, as worn by a leaning bristle.
 
-    ``angle_deg`` is the angle between the face and the plane square to the axis, from 0 to below
-    90°, ``direction_deg`` where the face stands back most, from +x (thickness) toward +y (width).
+    ``angle_deg`` is the angle between the face and the plane normal to the axis, from 0 to below
+    90°, ``direction_deg`` the direction of greatest offset, from +x (thickness) toward +y (width).
     """
 
     angle_deg: float
@@ -152,11 +152,11 @@ _SHAPES = {"flat": Flat, "chamfer": Chamfer, "rounded": Rounded, "worn": Worn}
 
 
 def parse_tip_shape(text: str) -> Flat | Chamfer | Rounded | Worn:
-    """Read a shape from words such as `chamfer:width=5e-5,angle=45`.
+    """Read a shape from text such as `chamfer:width=5e-5,angle=45`.
 
-    The others: `flat`, `rounded:radius=1e-4`, `worn:angle=5,direction=90`.  Lengths in m, angles
-    in degrees; `angle` of a chamfer and `direction` may be left out. ValueError where the shape or
-    a parameter is not known, missing, given twice or no number.
+    The others: `flat`, `rounded:radius=1e-4`, `worn:angle=5,direction=90`. Lengths in m, angles in
+    degrees; `angle` of a chamfer and `direction` are optional. ValueError if the shape or a
+    parameter is unknown, missing, given twice or not a number.
     """
     name, colon, rest = text.strip().partition(":")
     if name not in _SHAPES:
