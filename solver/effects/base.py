@@ -1,8 +1,8 @@
 """An effect: a named piece of physics, its parameters, and the one place where it enters.
 
-An effect is a small frozen class. It changes one field of a `Scene`, which is all that a drop is
-made of; beam, reduced and full solid are built from the same scene, so what was found with the
-beam is switched on in three dimensions by the same object.
+An effect is a small frozen class. It changes one field of a `Scene`, the description of a drop.
+Beam, reduced solid and full solid are built from the same scene, so an effect found with the beam
+can be switched on in three dimensions unchanged.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .. import paper
 from ..contact.laws import ContactLaw, Linear
 from ..errors import InputError
 
-# Kinds of datasets of bristles that touch.
+# Kinds of datasets with contact.
 TOUCHING = frozenset({"drops", "tracks", "forces"})
 
 
@@ -32,12 +32,11 @@ class Place(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that an effect or a model has.
+    """A parameter of an effect or a model.
 
-    ``null`` is the value at which the effect is absent, ``low`` and ``high`` are its bounds,
-    ``typical`` is a size worth starting from. ``logarithmic`` ones are equally likely by their
-    logarithm. ``why`` says where the bounds come from. One that ``refines`` stays at its null
-    where the effect's others explain data as well.
+    The effect is absent at the value ``null``. ``low`` and ``high`` are bounds, ``typical`` is a
+    first guess, ``why`` the source of the bounds. A ``logarithmic`` parameter is uniform in its
+    logarithm. One that ``refines`` stays at its null if the effect's others explain data as well.
     """
 
     name: str
@@ -53,16 +52,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that one drop is made of and seen by, before effects and after them; of many drops at
-    once where its fields are arrays (`Effect.computed`).
+    """All inputs of one drop and of its observation, before and after effects; of many drops at
+    once if its fields are arrays (`Effect.computed`).
 
-    ``order`` counts drops from zero in the order they were made, ``session`` is zero in the first
-    of two sessions and one in the other. ``chance`` are standard normal
-    numbers of this drop for effects that differ from drop to drop. ``loss_factor`` is the loss
-    per radian of every elastic mode over its energy, independent of frequency.
-    ``front_m2`` is the area that goes first, ``drag_kg_m`` drag force over the square of the speed,
-    ``lateral_inertia`` the share of Love's correction that a beam has. Heights are seen as
-    ``y_scale`` × (true + ``y_offset_m``), times as ``t_scale`` × true.
+    ``order`` counts drops from zero in the order of the measurements, ``session`` is zero in the
+    first of two sessions and one in the second. ``chance`` are this drop's standard normal numbers
+    for random effects. ``loss_factor`` is the loss per radian of every elastic mode over its
+    energy, independent of frequency. ``front_m2`` is the frontal area, ``drag_kg_m`` drag force
+    over the square of the speed, ``lateral_inertia`` the share of Love's correction in a beam.
+    Observed heights are ``y_scale`` × (true + ``y_offset_m``), observed times ``t_scale`` × true.
     """
 
     height_m: float = 0.05
@@ -87,13 +85,13 @@ class Scene:
 
 @dataclass(frozen=True)
 class Effect:
-    """Base of effects: fields are the parameters' values, in their order.
+    """Base of effects: the fields are the parameters' values, in their order.
 
-    A subclass says its ``name``, ``title``, ``place``, the ``kinds`` of datasets that can carry
-    it, ``source`` and ``parameters``, and overrides `enter`. ``random`` effects differ from drop
-    to drop by `Scene.chance`, ``leaning`` ones turn bristle or surface; of ``computed`` ones a drop
-    is known once that without them is, since they change release, flight, stiffness or readings
-    alone, and `enter` takes arrays. ``origin`` tells those from outside of this program apart.
+    A subclass declares its ``name``, ``title``, ``place``, ``source`` and ``parameters``, and the
+    ``kinds`` of datasets that can contain it, and overrides `enter`. ``random`` effects vary from
+    drop to drop by `Scene.chance`; ``leaning`` ones tilt bristle or surface. A ``computed`` effect
+    changes only release, flight, stiffness or readings, so its drops follow from those without it,
+    and `enter` accepts arrays. ``origin`` names the source of an effect from outside this program.
     """
 
     name: ClassVar[str]
@@ -125,7 +123,7 @@ class Effect:
 
     @classmethod
     def unchecked(cls, *values: Any) -> Self:
-        """The effect with these values of its parameters, arrays too, whatever their bounds."""
+        """The effect with these parameter values, arrays allowed, without a check of bounds."""
         effect = object.__new__(cls)
         for each, value in zip(fields(cls), values, strict=True):
             object.__setattr__(effect, each.name, value)
@@ -136,5 +134,5 @@ class Effect:
         return tuple(getattr(self, each.name) for each in fields(self))
 
     def enter(self, scene: Scene) -> Scene:
-        """The scene with this effect in it."""
+        """The scene with this effect applied."""
         raise NotImplementedError

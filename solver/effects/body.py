@@ -12,7 +12,7 @@ BOUNCING = TOUCHING | {"waves"}
 
 @dataclass(frozen=True)
 class MaterialDamping(Effect):
-    """The stiffness-proportional damping is not the declared one."""
+    """The stiffness-proportional damping differs from the declared one."""
 
     beta_s: float = 1e-8
 
@@ -40,7 +40,7 @@ class MaterialDamping(Effect):
 
 @dataclass(frozen=True)
 class HystereticDamping(Effect):
-    """A loss per cycle that does not depend on frequency, as metals and joints have.
+    """A loss per cycle independent of frequency, as in metals and joints.
 
     Every elastic mode gets the viscous damping η ω, equal to a loss factor η at its frequency.
     """
@@ -60,9 +60,9 @@ class HystereticDamping(Effect):
 
 @dataclass(frozen=True)
 class LateralInertia(Effect):
-    """A bar that is compressed bulges, and its sides have to be moved: Love's correction.
+    """A compressed bar bulges, and its sides have inertia: Love's correction.
 
-    ``strength`` multiplies Love's ρ ν² I_p; the solid has it by itself.
+    ``strength`` multiplies Love's ρ ν² I_p; a solid includes it.
     """
 
     strength: float = 1.0

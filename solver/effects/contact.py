@@ -1,4 +1,4 @@
-"""Effects in the contact law: force other than in proportion to penetration."""
+"""Effects in the contact law: force not proportional to penetration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from .base import TOUCHING, Effect, Parameter, Place, Scene
 
 
 def _with_law(scene: Scene, law: laws.ContactLaw) -> Scene:
-    """The scene with ``law``; contact follows one law, so InputError where it has one already."""
+    """The scene with ``law``; InputError if it already has one from an effect, since contact has
+    one law."""
     if type(scene.law) is not laws.Linear:
         raise InputError(
             "two of the effects change the contact law; take one of them", inputs=("effects",)
@@ -20,7 +21,7 @@ def _with_law(scene: Scene, law: laws.ContactLaw) -> Scene:
 
 @dataclass(frozen=True)
 class ContactDamping(Effect):
-    """A dashpot beside the contact's spring."""
+    """A dashpot in parallel with the contact's spring."""
 
     c_N_s_m: float = 5.0
 
@@ -46,7 +47,7 @@ class ContactDamping(Effect):
 
 @dataclass(frozen=True)
 class HuntCrossleyContact(Effect):
-    """Damping that grows with penetration: it starts and ends at zero force."""
+    """Damping that grows with penetration: the force starts and ends at zero."""
 
     damping_s_m: float = 0.3
 
@@ -85,7 +86,7 @@ class StiffeningContact(Effect):
 
 @dataclass(frozen=True)
 class PlasticContact(Effect):
-    """The surface yields: the force grows no more, or less, and an indentation stays behind."""
+    """The surface yields: the force stops growing, or grows less, and an indentation remains."""
 
     yield_N: float = 20.0
     hardening: float = 0.0
@@ -136,7 +137,7 @@ class PlasticContact(Effect):
 
 @dataclass(frozen=True)
 class Adhesion(Effect):
-    """What has touched holds on until it is pulled off."""
+    """A tip that has touched sticks until it is pulled off."""
 
     pull_off_N: float = 5.0
 

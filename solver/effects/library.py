@@ -1,6 +1,6 @@
 """The effects by name.
 
-Adding one takes a class in one of these files and its test; those of users come by `outside`.
+A new effect needs a class in one of these files and a test; those of users come from `outside`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .base import Effect, Place, Scene
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
-    """The effects that a module defines, in their order there."""
+    """The effects defined in a module, in order."""
     return [
         each
         for each in vars(module).values()
@@ -32,7 +32,7 @@ EFFECTS: dict[str, type[Effect]] = {
 
 
 def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
-    """The scene with all ``effects`` in it, whatever their order."""
+    """The scene with all ``effects`` applied, in any order."""
     by_name = {effect.name: effect for effect in effects}
     for name in in_order(by_name):
         before, scene = scene, by_name[name].enter(scene)
@@ -46,8 +46,8 @@ def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
 def in_order(names: Iterable[str]) -> list[str]:
     """Effects in the order in which they enter a scene.
 
-    What changes Kn goes before the law that it belongs to; what comes from outside goes before the
-    laws of this program, which refuse to replace another.
+    Effects on Kn come before the contact law it belongs to. Effects from outside come before this
+    program's laws, which refuse to replace another.
     """
     known = list(EFFECTS)
 

@@ -1,4 +1,4 @@
-"""Effects of observation: how what is measured differs from what is there."""
+"""Effects of observation: differences between measured and true values."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Effects from outside: classes in a user's file, or in installed packages.
 
-A package names its classes under the entry point `ENTRY_POINT`. What is taken in is checked first:
-beam, reduced solid, solid and the loop take it from then on, or it is refused with the reason.
+A package names its classes under the entry point `ENTRY_POINT`. Each is checked first. If accepted,
+beam, reduced solid, solid and the loop use it; otherwise it is refused with the reason.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from .base import TOUCHING, Effect, Parameter, Place, Scene
 from .library import EFFECTS, effects_in
 
 ENTRY_POINT = "bristle.effects"
-# What a simulated drop takes from its scene, and what the loop takes from it for drops that it
-# computes from those without effects.
+# Fields of a scene that a simulated drop uses, and those that the loop uses for drops that it
+# computes from drops without effects.
 SIMULATED_FIELDS = {"law", "beta_s", "loss_factor"}
 COMPUTED_FIELDS = {
     *("release_speed_m_s", "drag_kg_m", "law"),
     *("y_offset_m", "y_scale", "t_scale"),
 }
-# What a drop takes from its own inputs, whatever an effect makes of it.
+# Fields that a drop takes from its own inputs, whatever an effect does to them.
 IGNORED = ("height_m", "order", "session", "chance", "front_m2")
-# Drops on which effects are tried.
+# Drops on which effects are tested.
 LOW = Scene(height_m=0.01, beta_s=paper.BETA_S, loss_factor=1e-3, lateral_inertia=1.0)
 HIGH = replace(LOW, height_m=0.05)
 LATER: tuple[dict[str, Any], ...] = ({"order": 7}, {"chance": (-1.0, 2.0)})
 PLAIN = (LOW, HIGH, *(replace(LOW, **late) for late in LATER))
 # Names of the effects of installed packages.
 INSTALLED: set[str] = set()
-# How the modules of users' files are called, before the beginning of their digest.
+# Prefix of the names of users' modules, before the start of their digest.
 MODULE = "bristle_plugin_"
 MOST_PARAMETERS = 2
-# Penetrations at which a contact law is tried: several times what drops press.
+# Penetrations at which a contact law is tested: several times those of drops.
 DEEPEST_M, DEPTHS = 1e-4, 1001
 
 
 @contextmanager
 def forgotten_afterwards() -> Iterator[None]:
-    """The effects that the block takes in are known inside it alone, but for those of installed
+    """Effects registered in the block are unregistered after it, except those of installed
     packages."""
     before = set(EFFECTS)
     try:
@@ -66,8 +66,8 @@ def forgotten_afterwards() -> Iterator[None]:
 
 
 def load(path: Path, source: bytes) -> ModuleType:
-    """The module of a Python file, its effects taken in; ValueError where one is refused, or it
-    does not run."""
+    """Import a Python file and register its effects; ValueError if one is refused, or it does not
+    run."""
     digest, path = hashlib.sha256(source).hexdigest(), path.resolve()
     module = f"{MODULE}{digest[:16]}"
     found = sys.modules.get(module) or _executed(source, path, module)
@@ -80,10 +80,10 @@ def load(path: Path, source: bytes) -> ModuleType:
 
 
 def _executed(source: bytes, path: Path, name: str) -> ModuleType:
-    """The module ``name`` of this source; it is run from the text, and leaves no file behind."""
+    """The module ``name`` of this source, executed from the text; it leaves no file behind."""
     module = ModuleType(name)
     module.__file__ = str(path)
-    sys.modules[name] = module  # dataclasses look their module up
+    sys.modules[name] = module  # dataclasses need their module there
     try:
         exec(compile(source, str(path), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:
@@ -94,7 +94,7 @@ def _executed(source: bytes, path: Path, name: str) -> ModuleType:
 
 @lru_cache(maxsize=1)
 def load_installed() -> None:
-    """Take in the effects of installed packages; one that cannot be is left out with a warning."""
+    """Register the effects of installed packages; one that is refused is skipped with a warning."""
     for point in entry_points(group=ENTRY_POINT):
         try:
             kind = point.load()
@@ -108,8 +108,8 @@ def load_installed() -> None:
 
 
 def taken_in(effect: Effect) -> Effect:
-    """An effect that was made in Python, once its class is known. Raises InputError where the class
-    is refused."""
+    """An effect made in Python, with its class registered. Raises InputError if the class is
+    refused."""
     kind = type(effect)
     if EFFECTS.get(kind.name) is not kind:
         register(kind, f"{kind.__module__}.{kind.__qualname__} {id(kind)}")
@@ -117,7 +117,7 @@ def taken_in(effect: Effect) -> Effect:
 
 
 def register(kind: type[Effect], origin: str) -> None:
-    """Take in an effect; ``origin`` tells its source from others. InputError says what is wrong."""
+    """Register an effect; ``origin`` names its source. InputError says what is wrong."""
     name = getattr(kind, "name", None)
     there = EFFECTS.get(str(name))
     if there is not None and there.origin == origin and origin:
@@ -134,7 +134,7 @@ def register(kind: type[Effect], origin: str) -> None:
 
 
 def _problem(kind: type[Effect]) -> str:
-    """What is wrong with an effect, or an empty text."""
+    """What is wrong with an effect, or an empty string."""
     parameters = getattr(kind, "parameters", ())
     if not is_dataclass(kind) or not all(isinstance(each, Parameter) for each in parameters):
         return "must be a dataclass, and its parameters a tuple of Parameter"
@@ -157,7 +157,7 @@ def _problem(kind: type[Effect]) -> str:
 
 
 def _acts(kind: type[Effect]) -> str:
-    """What is wrong with how an effect acts, tried on drops; or an empty text."""
+    """What is wrong with an effect's action on test drops, or an empty string."""
     sizes = {
         "typical": {each.name: each.typical for each in kind.parameters},
         "absent": {each.name: each.null for each in kind.parameters},
@@ -190,7 +190,7 @@ def _acts(kind: type[Effect]) -> str:
 
 
 def _wrong_law(law: ContactLaw) -> str:
-    """What is wrong with a contact law, tried at one point; or an empty text."""
+    """What is wrong with a contact law, tested at one point, or an empty string."""
     if type(law) in (Linear, Damped):
         return ""
     depth = np.linspace(0.0, DEEPEST_M, DEPTHS)
@@ -218,8 +218,8 @@ def _wrong_law(law: ContactLaw) -> str:
 
 
 def _integrates(whole: Array, slope: Array, x: Array) -> bool:
-    """Whether ``whole`` is the integral of ``slope`` from zero on, as far as these points tell: a
-    trapezoid is off by half of what the slope changes over it, wherever that happens."""
+    """Whether ``whole`` is the integral of ``slope`` from zero on, within what these points
+    resolve: the error of a trapezoid is half the change of slope over it, wherever that occurs."""
     steps = np.diff(x)
     sums = np.cumsum(0.5 * (slope[1:] + slope[:-1]) * steps)
     unsure = np.cumsum(0.5 * np.abs(np.diff(slope)) * steps)
@@ -227,7 +227,7 @@ def _integrates(whole: Array, slope: Array, x: Array) -> bool:
 
 
 def _changed(before: Sequence[Scene], after: Sequence[Scene]) -> set[str]:
-    """Which fields of scenes differ."""
+    """The fields in which scenes differ."""
     return {
         each.name
         for one, other in zip(before, after, strict=True)
@@ -239,7 +239,7 @@ def _changed(before: Sequence[Scene], after: Sequence[Scene]) -> set[str]:
 def _predictable(
     kind: type[Effect], changed: Mapping[str, set[str]], done: Mapping[str, Sequence[Scene]]
 ) -> str:
-    """Why the loop could not tell what an effect does, or an empty text."""
+    """Why the loop could not predict an effect, or an empty string."""
     if len(kind.parameters) > MOST_PARAMETERS:
         return f"the loop takes at most {MOST_PARAMETERS} parameters"
     if any(each.refines for each in kind.parameters):
@@ -263,7 +263,7 @@ def _predictable(
 
 
 def _of_arrays(kind: type[Effect], alone: Sequence[Scene]) -> str:
-    """Why `enter` does not give many drops at once what each has alone, or an empty text."""
+    """Why `enter` does not give the same for many drops at once as for each, or an empty string."""
     every: dict[str, Any] = {
         "height_m": np.array([scene.height_m for scene in PLAIN]),
         "order": np.array([scene.order for scene in PLAIN]),

@@ -12,7 +12,7 @@ AIR_KG_M3 = 1.204
 
 @dataclass(frozen=True)
 class AirDrag(Effect):
-    """Quadratic drag on the end that goes first: ½ ρ c_d A v²."""
+    """Quadratic drag on the leading end: ½ ρ c_d A v²."""
 
     cd: float = 1.1
 
@@ -35,7 +35,7 @@ class AirDrag(Effect):
 
 @dataclass(frozen=True)
 class ReleaseVelocity(Effect):
-    """A hand that does not let go at rest: the bristle starts with a speed, downward positive."""
+    """A release not at rest: the bristle starts with a speed, positive downward."""
 
     speed_m_s: float = 0.1
 

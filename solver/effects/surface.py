@@ -1,4 +1,4 @@
-"""Effects of how and where the bristle lands, from drop to drop."""
+"""Effects of the landing, constant or different from drop to drop."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..contact.laws import Linear
 from ..errors import InputError
 from .base import TOUCHING, Effect, Parameter, Place, Scene
 
-# Drops over which wear is counted.
+# Number of drops to which the parameter of wear refers.
 WEAR_DROPS = 100.0
 MOST_SLOPE_DEG = 10.0
-# Stiffness beyond what any table covers: drops may be numbered by their date, and wear grows so.
+# Beyond any table's stiffness: drops may be numbered by date, and wear grows with the number.
 MOST_DECADES = 12.0
 
 
 @dataclass(frozen=True)
 class BristleTilt(Effect):
-    """The bristle leans toward its thin side, by the same in every drop."""
+    """The bristle leans toward its thin side, equally in every drop."""
 
     tilt_deg: float = 2.0
 
@@ -41,10 +41,10 @@ class BristleTilt(Effect):
 
 @dataclass(frozen=True)
 class SurfaceSlope(Effect):
-    """An asperity's slope under the tip, another in each drop, with Coulomb friction.
+    """The slope of an asperity under the tip, different in each drop, with Coulomb friction.
 
     Slopes toward the thin and the wide side are normal with this standard deviation, but none is
-    steeper than `MOST_SLOPE_DEG`: their size is Rayleigh's, truncated.
+    steeper than `MOST_SLOPE_DEG`: their size has a truncated Rayleigh distribution.
     """
 
     std_deg: float = 3.0
@@ -72,8 +72,8 @@ class SurfaceSlope(Effect):
 
 
 def steepness_deg(size: Array | float, std_deg: Array | float) -> Array:
-    """The slope that a deviate of Rayleigh's distribution stands for, none beyond `MOST_SLOPE_DEG`
-    (inverse of the truncated distribution); arrays that broadcast."""
+    """The slope for a deviate of Rayleigh's distribution, by the inverse of the distribution
+    truncated at `MOST_SLOPE_DEG`; arrays broadcast."""
     most = MOST_SLOPE_DEG / np.maximum(std_deg, 1e-9)
     share = np.expm1(-0.5 * np.square(size)) * np.expm1(-0.5 * np.square(most))
     return np.asarray(std_deg * np.sqrt(-2.0 * np.log1p(-share)))
@@ -91,7 +91,7 @@ def _stiffer(scene: Scene, decades: float) -> Scene:
 
 @dataclass(frozen=True)
 class SurfacePhases(Effect):
-    """Cement here, aggregate there: a contact stiffness of its own in each drop, log-normal."""
+    """Cement here, aggregate there: the contact stiffness is log-normal from drop to drop."""
 
     std_decades: float = 0.3
 
@@ -112,7 +112,7 @@ class SurfacePhases(Effect):
 
 @dataclass(frozen=True)
 class Wear(Effect):
-    """Contact grows stiffer or softer with the order of drops: a tip or a surface that wears."""
+    """Contact becomes stiffer or softer with the number of drops: wear of tip or surface."""
 
     decades: float = 0.5
 
@@ -139,8 +139,7 @@ class Wear(Effect):
 
 @dataclass(frozen=True)
 class Session(Effect):
-    """Contact is stiffer or softer on another day: another place of the surface, another tip, other
-    weather."""
+    """Contact is stiffer or softer on another day: another place, another tip, other weather."""
 
     decades: float = 0.1
 
