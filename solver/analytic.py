@@ -37,7 +37,7 @@ def penetration_m(
 def analytic_drop(
     mass_kg: float, kn_N_m: float, height_m: float, gravity_m_s2: float
 ) -> DropResult:
-    """A drop by Eqs. 1 to 8: no loss, and no gravity while it touches, as in the paper's Eq. 7."""
+    """A drop by Eqs. 1 to 8: without loss, and without gravity during contact, as in Eq. 7."""
     speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
     quarter = quarter_period_s(mass_kg, kn_N_m)
     deepest = greatest_penetration_m(mass_kg, kn_N_m, height_m, gravity_m_s2)
@@ -67,7 +67,7 @@ def analytic_drop(
 def _history(
     mass_kg: float, kn_N_m: float, height_m: float, gravity_m_s2: float, contact_s: float
 ) -> History:
-    """Fall, touch and rise to the height of release."""
+    """Fall, contact and rise to the height of release."""
     speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
     fall_s = speed / gravity_m_s2
     down = np.linspace(0.0, fall_s, SAMPLES, endpoint=False)

@@ -1,4 +1,4 @@
-"""What falls: a bristle's section, length and material, and what follows from them; or a ball."""
+"""The falling body: a bristle's section, length and material, and derived quantities; or a ball."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ..meshes.section import Rectangle, Section
 from . import paper
 from .errors import InputError
 
-# Contact points across each side of the end section: what an edge-first touch of a stiff surface
-# needs, see the study of leaning impacts.
+# Contact points across each side of the end section, as an edge-first impact on a stiff surface
+# needs; see the study of leaning impacts.
 CONTACT_POINTS = 9
 
 
@@ -95,5 +95,5 @@ class RigidMass:
 
     @property
     def front_m2(self) -> float | None:
-        """The area that meets the air, or None where the diameter is not known."""
+        """The frontal area for drag, or None if the diameter is unknown."""
         return None if self.diameter_m is None else 0.25 * math.pi * self.diameter_m**2

@@ -1,7 +1,7 @@
-"""Cache of costly arrays (bases, factors, tables) that one run makes and later runs use.
+"""Disk cache of costly arrays (bases, factors, tables), shared between runs.
 
-They lie under the user's cache, in a folder named after the sources that could change them. A file
-appears whole or not at all, holds plain numbers, and one that cannot be read is made again.
+The files are in the user's cache, in a folder named after the sources that affect them. A file
+appears whole or not at all and holds plain numbers. One that cannot be read is made again.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from .arrays import Array
 from .compiled import cache_folder
 
 KEY, DIGEST = "key", "sha256"
-# Held while a file is written, by one thread at a time.
+# Lock for writing files, one thread at a time.
 WRITING = threading.Lock()
 PART = ".part"
-# No file takes so long to write.
+# A half-written file older than this was abandoned.
 PART_S = 3600.0
 
 
 def cached(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
-    """Arrays by name, as ``make`` gives them, from disk where they were made before.
+    """Arrays by name, as ``make`` returns them, read from disk if an earlier run made them.
 
-    ``key`` says everything, beside the solver's sources, that they depend on.
+    ``key`` describes everything, besides the solver's sources, that they depend on.
     """
     return cached_each([key], lambda _: [make()])[0]
 
@@ -41,7 +41,7 @@ def cached(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array
 def cached_each(
     keys: Sequence[str], make: Callable[[list[int]], Iterable[Mapping[str, Array]]]
 ) -> list[dict[str, Array]]:
-    """As `cached` of several keys; ``make`` is given the places of all that are missing."""
+    """As `cached` for several keys; ``make`` receives the indices of all missing ones."""
     found = [load(key) for key in keys]
     missing = [i for i, each in enumerate(found) if each is None]
     for i, made in zip(missing, make(missing) if missing else (), strict=True):
@@ -52,7 +52,7 @@ def cached_each(
 
 
 def load(key: str) -> dict[str, Array] | None:
-    """What was stored under ``key``, or None."""
+    """The arrays stored under ``key``, or None."""
     with contextlib.suppress(OSError, ValueError):
         arrays = read_arrays(_path(key))
         if str(arrays.pop(KEY, None)) == key:
@@ -61,20 +61,20 @@ def load(key: str) -> dict[str, Array] | None:
 
 
 def store(key: str, arrays: Mapping[str, Array]) -> None:
-    """Keep ``arrays``; a disk that is full or may not be written keeps nothing."""
+    """Store ``arrays``; if the disk is full or write-protected nothing is stored."""
     with contextlib.suppress(OSError):
         _forget_parts(_path(key).parent)
         write_arrays(_path(key), {KEY: np.array(key), **arrays})
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
-    """What `write_arrays` wrote; OSError, or ValueError where the file does not hold that."""
+    """Arrays written by `write_arrays`; OSError, or ValueError if the file holds anything else."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except OSError:
         raise
-    except Exception as error:  # readers of zip files fail in many ways on what is none
+    except Exception as error:  # zip readers fail in many ways on other files
         raise ValueError(f"{path} is not whole") from error
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise ValueError(f"{path} holds more than arrays")
@@ -84,7 +84,7 @@ def read_arrays(path: Path) -> dict[str, Array]:
 
 
 def _digest(arrays: Mapping[str, Array]) -> str:
-    """Of names, types, shapes and contents."""
+    """Digest of names, types, shapes and contents."""
     found = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -94,8 +94,8 @@ def _digest(arrays: Mapping[str, Array]) -> str:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays with their digest beside ``path``, see them on the disk, then give the file its
-    name; OSError."""
+    """Write arrays with their digest to a temporary file, sync, then rename it to ``path``;
+    OSError."""
     arrays = {**arrays, DIGEST: np.array(_digest(arrays))}
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=PART)
@@ -112,7 +112,7 @@ def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
 
 @lru_cache(maxsize=8)
 def _forget_parts(folder: Path) -> None:
-    """Remove, once, what runs that were killed left half-written."""
+    """Remove, once, half-written files of runs that were killed."""
     for part in folder.glob(f"*{PART}"):
         with contextlib.suppress(OSError):
             if time.time() - part.stat().st_mtime > PART_S:
@@ -121,7 +121,7 @@ def _forget_parts(folder: Path) -> None:
 
 @lru_cache(maxsize=8)
 def sources(*paths: Path) -> str:
-    """A digest of source files, and of all in folders, for keys of what they make."""
+    """A digest of source files, and of all files in folders, for cache keys."""
     files = [file for path in paths for file in (sorted(path.rglob("*.py")) or [path])]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 

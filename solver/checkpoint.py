@@ -1,9 +1,9 @@
-"""Checkpoints of a long run, from which it goes on to the bit.
+"""Checkpoints of a long run, from which it resumes bit for bit.
 
-A run consists of marches in a fixed order: the touches of a drop, or one march throughout. Of each
-march its latest *mark* is kept, everything that its next step needs; what lies between marches is
-computed again, which gives the same again. Each rank has files of its own, plain arrays (no
-pickles) with a version and a checksum. A mark counts where all ranks have it whole.
+A run consists of marches in a fixed order: the touches of a drop, or one march throughout. The
+latest *mark* of each march is stored: all that its next step needs. What lies between marches is
+computed again, with the same result. Each rank has its own files, plain arrays (no pickles) with a
+version and a checksum. A mark is valid if all ranks have it whole.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 
 SCHEMA = "bristle-checkpoint-5"
 HEADER = "header"
-# Of a march that is begun again, the share by which its start may differ: rounding on another
-# machine, while two touches of one drop differ by far more.
+# Tolerances on the start of a resumed march: rounding on another machine differs by less, two
+# touches of one drop by far more.
 SAME, NOTHING = 1e-9, 1e-15
-# Steps between looks at the clock, which ranks share.
+# Steps between readings of the clock, which ranks share.
 LOOK = 16
 
 
 @dataclass(frozen=True)
 class Mark:
-    """What was kept of one march: after how many ``steps``, whether it was ``done``, ``arrays`` by
-    name, and the ``frames`` that an observer had kept by then, in order."""
+    """The stored data of one march: the number of ``steps``, whether it was ``done``, ``arrays`` by
+    name, and an observer's ``frames`` up to then, in order."""
 
     steps: int
     done: bool
@@ -48,9 +48,9 @@ class Mark:
 class Checkpoint:
     """The marks of one run in ``folder``, at least ``every_s`` seconds apart.
 
-    ``made_for`` names what the run depends on; with ``resume`` the marks of an earlier run are
-    taken up, and InputError names what is not the same. Without, they are removed. The clock is
-    looked at after every ``look`` steps. All methods are collective over ``comm``.
+    ``made_for`` names what the run depends on. With ``resume`` the run continues from the marks of
+    an earlier one, and InputError names any difference; otherwise these are removed. The clock is
+    read every ``look`` steps. All methods are collective over ``comm``.
     """
 
     def __init__(
@@ -76,10 +76,10 @@ class Checkpoint:
             self._together(lambda: clear(self.folder), alone=True)
 
     def begin(self, *start: Array | float) -> Mark | None:
-        """Say that the next march begins, from what ``start`` says; what was kept of it, or None.
+        """Start the next march, whose initial data are ``start``; returns its stored mark, or None.
 
-        InputError where what was kept is of a march that began elsewhere: this run does not take
-        the way of the one that was interrupted.
+        Raises InputError if the stored march started elsewhere: this run does not repeat the
+        interrupted one.
         """
         self._march += 1
         self._start = [float(np.linalg.norm(each)) for each in start]
@@ -102,14 +102,14 @@ class Checkpoint:
         return Mark(steps, done, arrays, frames)
 
     def due(self) -> bool:
-        """Whether a mark is to be made after this step."""
+        """Whether a mark is due after this step."""
         self._looks += 1
         return self._looks % self._look == 0 and self._late()
 
     def save(self, steps: int, arrays: Mapping[str, Array], *, done: bool = False) -> None:
-        """Make the running march's mark; ComputationError where the disk does not take it.
+        """Store the running march's mark; ComputationError if the disk cannot take it.
 
-        That of a march that is ``done`` before one is due waits in memory, as frames do.
+        A march that is ``done`` before a mark is due waits in memory, as frames do.
         """
         path = self._mark(self._march, steps)
         header = {"march": self._march, "steps": steps, "done": done, "frames": self._frames}
@@ -123,7 +123,7 @@ class Checkpoint:
         self._last_s = time.monotonic()
 
     def keep_frame(self, arrays: Mapping[str, Array]) -> None:
-        """Keep what an observer has just shown, to be shown again."""
+        """Store an observer's latest frame, so that a resumed run can show it again."""
         self._wait(self._frame(self._frames), {"march": self._march}, arrays)
         self._frames += 1
 
@@ -140,7 +140,7 @@ class Checkpoint:
         return self.folder / f"frame-{number}-{self.comm.rank}.npz"
 
     def _wait(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-        """Have arrays as they are now written to ``path`` when a mark is made."""
+        """Queue the present arrays for ``path``; they are written with the next mark."""
         text = json.dumps({"schema": SCHEMA, "made_for": self._made_for, **header})
         copies = {name: np.array(array) for name, array in arrays.items()}
         self._waiting.append((path, {HEADER: np.array(text), **copies}))
@@ -151,7 +151,7 @@ class Checkpoint:
             del self._waiting[0]
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Header and arrays of a file; ValueError or OSError where it is not whole."""
+        """Header and arrays of a file; ValueError or OSError if it is not whole."""
         arrays = read_arrays(path)
         header = json.loads(str(arrays.pop(HEADER, "{}")))
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
@@ -161,7 +161,7 @@ class Checkpoint:
     def _whole_marks(self) -> dict[int, tuple[int, bool, int]]:
         """By march: steps, whether it was done, and frames by then, of marks that all ranks have.
 
-        Marches count up to the first that lacks one. Files of other runs are refused.
+        Marches count up to the first without a mark. Files of other runs are refused.
         """
         mine, wrong = set(), None
         for path in sorted(self.folder.glob(f"march-*-{self.comm.rank}.npz")):
@@ -186,7 +186,7 @@ class Checkpoint:
         return there
 
     def _has_frames(self, count: int) -> bool:
-        """Whether all ranks have so many frames whole."""
+        """Whether all ranks have this many frames whole."""
         try:
             for i in range(self._whole_frames, count):
                 self._read(self._frame(i))
@@ -207,7 +207,7 @@ class Checkpoint:
         return all(self.comm.allgather(mine))
 
     def _together(self, work: Callable[[], None], *, alone: bool = False) -> None:
-        """Do ``work`` on every rank, or the first ``alone``; fail on all where one fails."""
+        """Do ``work`` on every rank, or on the first ``alone``; fail on all if one fails."""
         problem = None
         if not alone or self.comm.rank == 0:
             try:
@@ -228,12 +228,12 @@ def clear(folder: Path) -> None:
 
 
 def prefixed(prefix: str, arrays: Mapping[str, Any]) -> dict[str, Array]:
-    """Arrays under names of their own among others'."""
+    """Arrays with ``prefix`` before their names."""
     return {f"{prefix}.{name}": np.asarray(value) for name, value in arrays.items()}
 
 
 def under(prefix: str, arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
-    """What `prefixed` gave."""
+    """The arrays and names given to `prefixed`."""
     for name, value in arrays.items():
         if name.startswith(f"{prefix}."):
             yield name.removeprefix(f"{prefix}."), value

@@ -1,14 +1,14 @@
-"""A bristle as a 3-D solid, clamped in a hub that moves, over a plane: the twin of a rod.
+"""A bristle as a 3-D solid, clamped in a moving hub, over a plane: the reference for a rod.
 
-`solver.rods` is held against it. Strain and rotation are finite (St. Venant and Kirchhoff,
-solver.forms). Hub, plane, friction and the law of contact are the rod's own, and so is the time
-scheme: generalised-alpha with equilibrium at the end of every step (see `rods.step`), which on
+`solver.rods` is verified against it. Strain and rotation are finite (St. Venant and Kirchhoff,
+solver.forms). Hub, plane, friction and contact law are the rod's own. So is the time scheme:
+generalised-alpha with equilibrium at the end of every step (see `rods.step`), which on
 displacements is Chung and Hulbert's with its constants shifted.
 
-Contact differs in one thing. A rod's section touches with its four corners, each with a quarter of
-Kn. Here the nodes on the two wide edges of the end face touch, and each edge has half of Kn spread
-over its nodes as over a line. An edge that lies flat on the plane is as stiff as the rod's two
-corners. Sides do not touch.
+Only the contact points differ. A rod's section touches with its four corners, each with a quarter
+of Kn. Here the nodes on the two wide edges of the end face touch, and each edge has half of Kn
+distributed over its nodes as over a line. An edge that lies flat on the plane is as stiff as the
+rod's two corners. Sides do not touch.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ from .rods.section import RodSection
 from .time.finite import assemble
 from .time.scheme import TimeScheme
 
-# A residual counts as none below this share of EI / L², as the rod's does.
+# Tolerance of the residual as a share of EI / L², as for the rod.
 NEAR = 1e-7
 ITERATIONS = 40
-# Newton's matrix takes most of a step's time. It is kept until a point touches, lets go, sticks or
-# slides, or so many iterations were not enough. Equilibrium is far from its guess and takes it anew
-# in each.
+# Newton's matrix takes most of a step's time. It is updated only when a point touches, lets go,
+# sticks or slides, or after this many iterations. Static equilibrium is far from its guess, so
+# there every iteration updates it.
 PATIENT = 4
-# A tangential spring so much longer than any slides, whichever way the point moves.
+# Elongation of a tangential spring that slides, however the point moves.
 SLIDING_M = 1.0
 # Cells across the thin side, across the wide side, and along the axis.
 CELLS = 1, 1, 60
@@ -66,8 +66,8 @@ CELLS = 1, 1, 60
 
 @dataclass(frozen=True)
 class ClampedState:
-    """What the solid shows at one instant: ``force_N`` and ``torque_Nm`` (3,) on the hub, the
-    torque about its origin, the middle of the end section ``tip_m`` (3,), and ``normal_N``."""
+    """Output of the solid at one instant: ``force_N`` and ``torque_Nm`` (3,) on the hub (the torque
+    about its origin), the middle of the end section ``tip_m`` (3,), and ``normal_N``."""
 
     t_s: float
     force_N: Array
@@ -77,9 +77,9 @@ class ClampedState:
 
 
 class RodState(NamedTuple):
-    """A rod from its clamp to its tip, in equal elements: centre line ``x`` (n, 3), axes ``q``
-    (n, 4), ``velocity``, ``acceleration`` and ``auxiliary`` (n, 6) as in `rods.motion.Motion`, and
-    the state (k,) and the springs (k, 3) in m of its tip's points."""
+    """State of a rod from its clamp to its tip, in equal elements: centre line ``x`` (n, 3),
+    quaternions ``q`` (n, 4), ``velocity``, ``acceleration`` and ``auxiliary`` (n, 6) as in
+    `rods.motion.Motion`, and the state (k,) and the springs (k, 3) in m of its tip's points."""
 
     x: Array
     q: Array
@@ -98,7 +98,7 @@ class RodState(NamedTuple):
 
 
 class ClampedSolid:
-    """A straight bristle of hexahedra of degree ``order``, clamped by its top face.
+    """A straight bristle of hexahedra of degree ``order``, clamped at its top face.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class ClampedSolid:
     clamps : of this one bristle
     motion : the hub's
     ground : the plane, or None
-    t_s : the time at which the bristle begins, without strain, moving with the hub
+    t_s : the start time; the bristle is then unstrained and moves with the hub
     gravity_m_s2 : downward
     comm : ranks that share the mesh
 
@@ -115,7 +115,7 @@ class ClampedSolid:
     InputError : the section is not a rectangle, or there is more than one clamp
     """
 
-    # what the contact points remember, and what they will after the step under way
+    # state of the contact points now, and after the step in progress
     _touch: Touch
     _after: Touch
 
@@ -168,7 +168,7 @@ class ClampedSolid:
     # --- what it shows ----------------------------------------------------------------------------
 
     def state(self) -> ClampedState:
-        """How it is now; collective."""
+        """The present output; collective."""
         push = -self._balance[self._held]
         origin = self.motion.pose(self.t_s).position_m
         torque = np.cross(self._now()[self._held] - origin, push).sum(axis=0)
@@ -179,7 +179,7 @@ class ClampedSolid:
         return ClampedState(self.t_s, total[:3], total[3:6], total[6:9] / 4.0, float(total[9]))
 
     def matrices(self) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Stiffness and mass of small vibrations about its present state, without contact.
+        """Stiffness and mass of small vibrations about the present state, without contact.
 
         A clamped row has 1 on the diagonal of the stiffness and 0 on that of the mass. The caller
         destroys them. Collective.
@@ -194,12 +194,12 @@ class ClampedSolid:
     # --- where it begins --------------------------------------------------------------------------
 
     def settle(self, rod: RodState, end_force_N: Array | None = None) -> None:
-        """Begin like a ``rod``: with its velocities, and in equilibrium with its inertia.
+        """Start in the state of a ``rod``: with its velocities, in equilibrium with its inertia.
 
-        The rod has no strain across its section, which a solid has; so displacements are not taken
-        from it but found, the rod's being the guess. A point of the tip slides the way that the
-        rod's does, or holds on by its spring. ``end_force_N`` (3,) is a dead force on the end face.
-        Collective; raises ComputationError where there is no equilibrium.
+        Unlike a solid, the rod has no strain across its section. So its displacements only serve as
+        a guess, and equilibrium is solved for. A point of the tip slides in the direction in which
+        the rod's does, or sticks by its spring. ``end_force_N`` (3,) is a dead force on the end
+        face. Collective; raises ComputationError if there is no equilibrium.
         """
         centre, turned = _along(rod, self._local[:, 2], self.bristle.length_m)
         across = self._local * (1.0, 1.0, 0.0)
@@ -228,7 +228,7 @@ class ClampedSolid:
         self._balance = np.zeros_like(self._u)
 
     def _hold_springs(self, rod: RodState) -> None:
-        """Springs as the rod's points have them on the mean, or long ones if these slide."""
+        """Set springs to the mean of the rod's points, or to long ones if these slide."""
         touching = rod.state > 0
         if not touching.any():
             return
@@ -243,7 +243,8 @@ class ClampedSolid:
     # --- the march --------------------------------------------------------------------------------
 
     def step(self, h_s: float) -> None:
-        """Go on by one step; collective. Raises ComputationError where Newton does not converge."""
+        """Advance by one step; collective. ComputationError if Newton's method does not
+        converge."""
         self.t_s += h_s
         velocity, acceleration, _ = self._rates(np.zeros_like(self._u), h_s)
         own_values(self._rest, (acceleration + self._alpha.value * velocity).ravel())
@@ -253,7 +254,7 @@ class ClampedSolid:
         self._v, self._a, self._auxiliary = self._rates(d, h_s)
 
     def _rates(self, d: Array, h: float) -> tuple[Array, Array, Array]:
-        """Velocity, acceleration and auxiliary after a step by ``d``."""
+        """Velocity, acceleration and auxiliary after a step with increment ``d``."""
         s = self._scheme
         new = (d / (h * h) - self._v / h - (0.5 - s.beta) * self._auxiliary) / s.beta
         velocity = self._v + h * ((1.0 - s.gamma) * self._auxiliary + s.gamma * new)
@@ -261,7 +262,7 @@ class ClampedSolid:
         return velocity, (mean - s.alpha_f * self._a) / (1.0 - s.alpha_f), new
 
     def _solve(self, h: float, guess: Array, before: Array) -> Array:
-        """The increment of a step of ``h``, or where that is zero to equilibrium; goes there."""
+        """Increment of a step of length ``h`` (zero: to equilibrium); updates the state."""
         self._set_numbers(h)
         self._before_m = before[self._rim]
         d = guess.copy()
@@ -274,7 +275,7 @@ class ClampedSolid:
                 f"{self._newton.getConvergedReason()}); take shorter steps"
             )
         d = self._x.array.reshape(-1, 3).copy()
-        self._residual(self._newton, self._x, self._spare)  # the touch is that of the solution
+        self._residual(self._newton, self._x, self._spare)  # sets the solution's contact
         self._u = self._u + d
         self._touch, self._after = self._after, self._touch
         return d
@@ -309,7 +310,7 @@ class ClampedSolid:
         jacobian.assemble()
 
     def _press(self, d: Array) -> None:
-        """What the plane does to the nodes that can touch, with its tangent."""
+        """Contact forces on the nodes that can touch, with their tangent."""
         system, axes = self._system, np.eye(3)
         system.residual[:], system.diagonal[:] = 0.0, 0.0
         step = TouchStep(self._touch, self._after, self._h, False)
@@ -319,25 +320,25 @@ class ClampedSolid:
             touch_section(self._surfaces[k], k, now, was, step, system)
 
     def _now(self) -> Array:
-        """Where the nodes are (n, 3)."""
+        """Present positions of the nodes (n, 3)."""
         return self._places + self._u
 
     def _corners(self) -> Array:
-        """Where the corners of the end section are that this rank owns."""
+        """Present positions of the end section's corners that this rank owns."""
         return self._now()[self._at_corners]
 
     def _clamped_pose(self, t_s: float) -> tuple[Array, Array]:
-        """Place (3,) and axes (3, 3) of the clamp at a time."""
+        """Position (3,) and axes (3, 3) of the clamp at a time."""
         pose, (place, rotation) = self.motion.pose(t_s), self._clamp
         return pose.position_m + pose.rotation @ place, pose.rotation @ rotation
 
     def _clamped(self) -> Array:
-        """Where the nodes would be now if the clamp held all of them."""
+        """Positions that the nodes would have now if the clamp held all of them."""
         root, axes = self._clamped_pose(self.t_s)
         return root + self._local @ axes.T
 
     def _set_numbers(self, h: float) -> None:
-        """Have the forms know a step of ``h``; of zero where there is no time."""
+        """Set the forms' coefficients to a step of ``h``; zero means statics."""
         s, self._h = self._scheme, h
         weight = (1.0 - s.alpha_m) / ((1.0 - s.alpha_f) * s.beta * h * h) if h else 0.0
         drag = self._alpha.value * s.gamma / (s.beta * h) if h else 0.0
@@ -370,7 +371,8 @@ class ClampedSolid:
         self._mass = form(density * ufl.inner(trial, test) * dx)
 
     def _make_contact(self, ground: Ground | None, parts: int) -> None:
-        """The nodes of the end face's wide edges, parted by so many spaces, with their springs."""
+        """Make the contact nodes of the end face's wide edges, ``parts`` intervals each, and
+        springs."""
         section = RodSection.of(self.bristle)
         x, y, s = self._local.T
         near = 1e-6 * section.half_thin_m
@@ -411,7 +413,7 @@ class ClampedSolid:
 
 
 def _shares(parts: int) -> Array:
-    """Weights of ``parts`` + 1 equally spaced points that integrate over a length of one: Simpson's
+    """Weights of ``parts`` + 1 equally spaced points for integration over a unit length: Simpson's
     rule, or the trapezoidal one for an odd number of parts."""
     weights = np.full(parts + 1, 2.0)
     if parts % 2:
@@ -423,8 +425,8 @@ def _shares(parts: int) -> Array:
 
 
 def _along(rod: RodState, s: Array, length_m: float) -> tuple[Callable[[Array], Array], Rotation]:
-    """A spline through values at the rod's nodes, evaluated at places ``s`` (n,) in m along it, and
-    the axes there."""
+    """A spline interpolator of values at the rod's nodes, evaluated at positions ``s`` (n,) in m
+    along it, and the axes there."""
     nodes = np.linspace(0.0, length_m, len(rod.x))
     s = np.clip(s, 0.0, length_m)
     turned = RotationSpline(nodes, Rotation.from_quat(rod.q[:, [1, 2, 3, 0]]))(s)

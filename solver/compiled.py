@@ -1,7 +1,7 @@
-"""Compilation of numerical code by Numba, and the cache of what was compiled.
+"""Compilation of numerical code by Numba, and the cache of the compiled code.
 
-Numba keeps compiled functions on disk but looks at their own file alone to see whether they are
-stale. The cache's folder is therefore named after all sources that compiled code may read from.
+Numba stores compiled functions on disk, but decides by a function's own file alone whether they are
+out of date. The cache folder is therefore named after all sources that compiled code may use.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from numba.extending import intrinsic
 
 LOG = logging.getLogger("bristle")
 KEPT_S = 7 * 86400.0
-# Folders of the package that compiled code takes nothing from.
+# Folders of the package that compiled code does not use.
 APART = ("effects",)
 
 
 class Decorator(Protocol):
-    """What leaves a function's signature as it is."""
+    """A decorator that preserves a function's signature."""
 
     def __call__[Function](self, function: Function) -> Function: ...
 
@@ -48,7 +48,7 @@ class Decorator(Protocol):
 def cache_folder() -> Path:
     """The folder for this version of the sources, see `writable_folder`.
 
-    It is looked for once: what a process makes belongs to the sources that it began with.
+    It is determined once, since a process' output belongs to the sources it started with.
     """
     folder = writable_folder("compiled", version_of(Path(__file__).parent))
     _forget_old(folder)
@@ -56,7 +56,7 @@ def cache_folder() -> Path:
 
 
 def version_of(sources: Path) -> str:
-    """A name for what the sources of this package say, which compiled code may read from."""
+    """A digest of the package's sources that compiled code may use."""
     digest = hashlib.sha256()
     for path in sorted(sources.rglob("*.py")):
         if path.relative_to(sources).parts[0] not in APART:
@@ -65,10 +65,10 @@ def version_of(sources: Path) -> str:
 
 
 def writable_folder(kind: str, name: str = "") -> Path:
-    """The user's folder ``name`` of a ``kind``, under his cache or, failing that, under /tmp.
+    """The user's folder ``name`` of a ``kind``, in the user's cache or, failing that, in /tmp.
 
-    What lies in it is run as code. So it and the folders above that are made here have to be the
-    user's own, and nobody else may write into them; else it is one for this process alone.
+    Its contents are executed as code. So it, and the folders created above it, must belong to the
+    user and be writable by nobody else. Otherwise the folder is private to this process.
     """
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     uid, temporary = os.getuid(), Path(tempfile.gettempdir())
@@ -89,7 +89,7 @@ def writable_folder(kind: str, name: str = "") -> Path:
                     open_to_others,
                 )
                 continue
-            tempfile.TemporaryFile(dir=folder).close()  # root may write, but not where nobody may
+            tempfile.TemporaryFile(dir=folder).close()  # fails if read-only, also for root
         except OSError:
             continue
         return folder
@@ -97,7 +97,7 @@ def writable_folder(kind: str, name: str = "") -> Path:
 
 
 def _made_private(folder: Path) -> bool:
-    """Make ``folder`` where it is missing; whether nobody else can have written into it."""
+    """Create ``folder`` if missing; whether nobody else can have written into it."""
     with contextlib.suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     found = folder.lstat()
@@ -106,7 +106,7 @@ def _made_private(folder: Path) -> bool:
 
 
 def process_folder(kind: str, name: str = "") -> Path:
-    """A folder that goes with this process."""
+    """A folder that is removed with this process."""
     root = Path(tempfile.mkdtemp(prefix="bristle-"))
     atexit.register(shutil.rmtree, root, ignore_errors=True)
     folder = root / kind / name
@@ -115,7 +115,7 @@ def process_folder(kind: str, name: str = "") -> Path:
 
 
 def _forget_old(folder: Path) -> None:
-    """Drop caches that no process has begun with for a week."""
+    """Remove caches that no process has started with for a week."""
     folder.touch()
     for path in folder.parent.iterdir():
         if time.time() - path.stat().st_mtime > KEPT_S:
@@ -123,10 +123,10 @@ def _forget_old(folder: Path) -> None:
 
 
 class _Index(caching.IndexDataCacheFile):
-    """Numba's list of what is compiled of a function, by one process at a time.
+    """Numba's index of a function's compiled versions, locked against other processes.
 
-    Two that compile it for different types at once would give both the same file, and a third
-    would take the code of one for the other's.
+    Two processes that compile for different types at once would give both versions the same file,
+    and a third process would load the wrong code.
     """
 
     def save(self, key: Any, data: Any) -> None:
@@ -137,10 +137,10 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class _InThePackage(caching._CacheLocator):
-    """A function's place in the cache by its place in this package, wherever the package lies.
+    """Cache location of a function by its place in this package, wherever the package is installed.
 
-    Numba goes by the folder and the date of a file. So a clone or an installation of the same
-    sources would compile everything again.
+    Numba uses the folder and the date of a file, so a clone or an installation of the same sources
+    would compile everything again.
     """
 
     def __init__(self, function: Callable[..., Any], path: Path) -> None:
@@ -157,16 +157,16 @@ class _InThePackage(caching._CacheLocator):
         return str(cache_folder() / self._path.parent)
 
     def get_source_stamp(self) -> str:
-        return ""  # the cache's folder says which sources these are
+        return ""  # the name of the cache folder identifies the sources
 
     def get_disambiguator(self) -> str:
         return str(self._line)
 
 
 def _load_overload(kept: Any, signature: Signature, target: Any) -> Any:
-    """Machine code from the cache, for which Numba need not load all that it can compile.
+    """Machine code from the cache, without Numba's initialisation of all that it can compile.
 
-    It does that by itself, in a fifth of a second, before it compiles anything.
+    That takes a fifth of a second; Numba does it itself before it compiles anything.
     """
     rtsys.initialize(target)
     return kept._load_overload(signature, target)
@@ -178,31 +178,30 @@ caching.IndexDataCacheFile = _Index
 caching.Cache.load_overload = _load_overload
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
-# For functions that call Python. They take its lock by themselves, so they are not declared to do
-# without it.
+# For functions that call Python. They acquire its lock themselves, so nogil is not set.
 with_python = cast(Decorator, numba.njit(cache=True))
-# For small functions of many arrays, which are costly to hand over.
+# For small functions of many arrays, which are costly to pass.
 inlined = cast(Decorator, numba.njit(cache=True, nogil=True, forceinline=True))
-# For large functions that compiled code alone calls, in one place: they are part of it, and are not
-# compiled once more for Python.
+# For large functions called only by compiled code, in one place: they are inlined, and not compiled
+# separately for Python.
 within = cast(
     Decorator,
     numba.njit(
         cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
     ),
 )
-# Sums may be taken in any order: for long runs, which vector units then add up side by side.
+# Sums may be reordered, so that long ones are vectorised.
 fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))
 
 
 @intrinsic
 def unowned(_context: Any, record: Any) -> Any:
-    """Arrays, or records of them, whose views nobody counts.
+    """Arrays, or records of them, without reference counting.
 
-    Numba counts the views of an array by atomic operations, which in loops over small views cost a
-    quarter of the time, and more. This is for arrays that come from Python, which owns them for as
-    long as the call lasts, and for those that compiled code makes and holds in another record until
-    their views are no longer used. Else they would be freed while these are.
+    Numba counts references to an array by atomic operations. In loops over small views these cost a
+    quarter of the time or more. Use this for arrays from Python, which owns them during the call.
+    Also use it for arrays that compiled code makes and holds in another record until the last view
+    is used; otherwise they would be freed too early.
     """
 
     def without(context: Any, builder: Any, of: Any, value: Any) -> Any:
@@ -219,7 +218,7 @@ def unowned(_context: Any, record: Any) -> Any:
 def _of_arrays(
     context: Any, builder: Any, made: Any, of: Any, value: Any, act: Callable[..., Any]
 ) -> Any:
-    """What a record becomes, of the type ``made``, where ``act`` is done to each of its arrays."""
+    """A record of type ``made``, with ``act`` applied to each array of the original."""
     if isinstance(of, types.BaseTuple):
         each = [
             _of_arrays(context, builder, to, one, builder.extract_value(value, k), act)
@@ -237,7 +236,7 @@ def _nth(_context: Any, record: Any, i: Any) -> Any:
         if isinstance(of, types.BaseTuple):
             return types.BaseTuple.from_types([row(each) for each in of], of.instance_class)
         if isinstance(of, types.Array):
-            # a row of an array in Fortran's order is not contiguous
+            # a row of an array in Fortran order is not contiguous
             layout = "C" if of.layout == "C" else "A"
             return of.copy(ndim=of.ndim - 1, layout=layout) if of.ndim > 1 else of.dtype
         return of
@@ -254,7 +253,7 @@ def _nth(_context: Any, record: Any, i: Any) -> Any:
 
 @njit
 def nth[Record](stack: Record, i: int) -> Record:
-    """One of a stack: the record of views of row ``i`` of each array in a record of arrays."""
+    """Entry ``i`` of a stack: a record of the views of row ``i`` of each array."""
     return _nth(stack, i)
 
 
@@ -277,7 +276,7 @@ def _write(_context: Any, source: Any, into: Any) -> Any:
 
 
 def _entries(source: Any, into: Any) -> None:
-    # Numba takes ten times as long to compile a slice
+    # a slice would take Numba ten times as long to compile
     entries, places = source.ravel(), into.ravel()
     for k in range(len(places)):
         places[k] = entries[k]
@@ -285,16 +284,16 @@ def _entries(source: Any, into: Any) -> None:
 
 @njit
 def write[Record](source: Record, into: Record) -> None:
-    """As many entries of one contiguous array over all of another, or of each in a record of
-    arrays over all of that in another."""
+    """Fill one contiguous array with the first entries of another, or each array in a record with
+    those of the array in another record."""
     _write(source, into)
 
 
 class Pointer(WrapperAddressProtocol):
     """A function that compiled code calls by its address.
 
-    So what calls it is compiled once, whichever function of this ``signature`` it is given. It is
-    compiled where it is first handed over, and kept on disk unless it is from outside.
+    So its caller is compiled once for all functions of this ``signature``. The function is compiled
+    where it is first passed, and cached on disk unless it comes from outside the package.
     """
 
     def __init__(self, function: Callable[..., Any], signature: Signature) -> None:
@@ -319,10 +318,10 @@ _THREAD = threading.local()
 
 @contextlib.contextmanager
 def in_turn() -> Iterator[None]:
-    """Have this thread's turn: others that wait for theirs run while it is in `meanwhile`.
+    """Hold this thread's turn: other threads run while it is in `meanwhile`.
 
-    For threads that call compiled functions. Where two of them meet types of arguments for the
-    first time at once Numba aborts, since its table of types trusts that none comes between.
+    For threads that call compiled functions. If two of them meet new argument types at once Numba
+    aborts, since its table of types is not thread-safe.
     """
     with _TURN:
         _THREAD.has_turn = True
@@ -338,10 +337,10 @@ def has_turn() -> bool:
 
 
 def meanwhile(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What the compiled ``function`` gives, others having their turn while it computes."""
+    """Result of the compiled ``function``; other threads have their turn while it computes."""
     if not has_turn():
         return function(*arguments)
-    # found here, so that nothing is left to be looked up outside of the turn
+    # determined here, so that nothing needs to be looked up outside the turn
     types = tuple(typeof(each, Purpose.argument) for each in arguments)
     machine_code = cast(Any, function).compile(types)
     _TURN.release()

@@ -1,4 +1,4 @@
-"""One contact phase, marched in steps of any body, with checkpoints; and its record."""
+"""One contact phase of any body in time steps, with checkpoints, and its record."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .time.march import ContactMarch, Moving
 
 HISTORY_COLUMNS = ("t_s", "tip_y_m", "cm_y_m", "force_N", "penetration_m")
 STEP_LIMIT = 2_000_000
-# What adhesion holds, or what has no speed to leave its indentation, stays: waiting for its release
-# is given up so much sooner.
+# A tip held by adhesion, or without the speed to leave its indentation, may stay in contact. Then
+# the step limit is divided by this.
 STAYING = 100
 
 
@@ -28,17 +28,17 @@ class History:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
     def extend(self, rows: Array) -> None:
-        """Add rows (times, 5) in the order of HISTORY_COLUMNS."""
+        """Append rows (times, 5) in the order of HISTORY_COLUMNS."""
         self.rows.extend(tuple(map(float, row)) for row in rows)
 
     def array(self) -> Array:
-        """(times, 5) in the order of HISTORY_COLUMNS."""
+        """All rows (times, 5) in the order of HISTORY_COLUMNS."""
         return np.array(self.rows).reshape(-1, len(HISTORY_COLUMNS))
 
 
 @dataclass
 class ContactSums:
-    """What has come together in a touch; ``released`` says that the tip is free again.
+    """Sums over a touch; ``released`` says that the tip is free again.
 
     ``peak_force_N`` is the greatest value at the ends of steps, ``push_N_s`` (3,) the impulse along
     body axes, friction included.
@@ -56,12 +56,12 @@ class ContactSums:
 
 @dataclass(kw_only=True)
 class ContactPhase(ContactSums):
-    """One touch: when it began and ended, and what it did.
+    """One touch: its start and end, forces, losses and final state.
 
     ``max_penetration_m`` is the greatest value at the ends of steps, refined by a parabola through
-    its neighbours, ``max_penetration_s`` when that was since the start; ``u`` and ``v`` are the
-    first state after release. ``contact_J`` is what contact still holds where the march ended
-    before that, ``memory`` (n,) what the law remembers of its points.
+    its neighbours, and ``max_penetration_s`` its time since the start. ``u`` and ``v`` are the
+    first state after release. If the march ended earlier, ``contact_J`` is the energy still stored
+    in contact. ``memory`` (n,) is the law's state at the points.
     """
 
     start_s: float
@@ -78,7 +78,7 @@ class ContactPhase(ContactSums):
     def ended(
         cls, marcher: ContactMarch, sums: ContactSums, rows: Array, state: Moving
     ) -> ContactPhase:
-        """That of a march that has ended in ``state``, by its history ``rows`` (steps + 1, 5)."""
+        """The touch of a march that ended in ``state``; ``rows`` (steps + 1, 5) are its history."""
         start_s, (depth, when) = float(rows[0, 0]), deepest(rows)
         return cls(
             **vars(sums),
@@ -95,19 +95,19 @@ class ContactPhase(ContactSums):
 
 
 class Observer(Protocol):
-    """What sees every marched state, and the step's forces (n, 3) along the points' frames.
+    """Callback with every state of a march, and the step's forces (n, 3) along the points' frames.
 
-    The rest is asked of it only where a march is kept, see solver.checkpoint.
+    The other methods are called only with checkpoints, see solver.checkpoint.
     """
 
     def __call__(self, state: Moving, step_force: Array) -> None: ...
 
     def memory(self) -> dict[str, Array]:
-        """What it needs to go on."""
+        """The observer's state for a checkpoint."""
         ...
 
     def recall(self, mark: Mark, state: Moving) -> None:
-        """Go on from what ``mark`` kept of it, the march being at ``state``."""
+        """Restore the observer's state from ``mark``; the march is at ``state``."""
         ...
 
 
@@ -121,7 +121,7 @@ def march_stepwise(
     wait_s: float,
     checkpoint: Checkpoint | None,
 ) -> ContactPhase:
-    """`impact.march_contact`, in steps of the marcher."""
+    """`impact.march_contact` in steps of the marcher."""
     t_s, *_ = start
     first_row = len(history.rows)
     mark = checkpoint.begin(*start, memory) if checkpoint else None
@@ -159,7 +159,7 @@ def _step(
     observer: Observer | None,
     wait_s: float,
 ) -> Moving:
-    """The state after a step from ``before``; what it did comes into ``sums`` and ``history``."""
+    """The state after a step from ``before``; adds to ``sums`` and ``history``."""
     weights = marcher.body.contact.weights
     step = marcher.step(before)
     state, force, total = step.state, step.force, step.mean_N
@@ -184,9 +184,9 @@ def _step(
 
 
 def _leaving(marcher: ContactMarch, state: Moving) -> bool:
-    """Whether every point is clear and none is held, or on its way to be.
+    """Whether every point is clear or about to be, and none is held.
 
-    A rigid plane under a multiplier has points that rest on it without a push.
+    On a rigid plane under a multiplier, points may rest on it without a force.
     """
     if not marcher.rigid_multiplier:
         return bool(state.approach[:, 0].max() <= 0.0) and not marcher.contact.holds()
@@ -197,7 +197,7 @@ def _leaving(marcher: ContactMarch, state: Moving) -> bool:
 def _kept(
     marcher: ContactMarch, state: Moving, sums: ContactSums, rows: Array, observer: Observer | None
 ) -> dict[str, Array]:
-    """Everything that the next step, and the touch, will need."""
+    """All data that the next step, and the record of the touch, will need."""
     return {
         **kept_state(marcher, state),
         **prefixed("sums", vars(sums)),
@@ -207,7 +207,7 @@ def _kept(
 
 
 def _recalled(mark: Mark, marcher: ContactMarch, history: History) -> tuple[ContactSums, Moving]:
-    """What `_kept` was given; the rows come back into ``history``."""
+    """The data given to `_kept`; the rows are put back into ``history``."""
     history.extend(mark.arrays["rows"])
     sums = ContactSums(0.0)
     for name, value in under("sums", mark.arrays):
@@ -216,7 +216,7 @@ def _recalled(mark: Mark, marcher: ContactMarch, history: History) -> tuple[Cont
 
 
 def kept_state(marcher: ContactMarch, state: Moving) -> dict[str, Array]:
-    """The state and what contact remembers, as arrays by name."""
+    """The state and contact's memory, as arrays by name."""
     return {
         **prefixed("state", vars(state)),
         **prefixed("contact", marcher.contact.kept()),
@@ -225,7 +225,7 @@ def kept_state(marcher: ContactMarch, state: Moving) -> dict[str, Array]:
 
 
 def recalled_state(mark: Mark, marcher: ContactMarch) -> Moving:
-    """The state that `kept_state` was given; contact remembers again."""
+    """The state given to `kept_state`; restores contact's memory."""
     marcher.recall(dict(under("march", mark.arrays)))
     marcher.contact.recall(dict(under("contact", mark.arrays)))
     state = dict(under("state", mark.arrays))
@@ -235,7 +235,7 @@ def recalled_state(mark: Mark, marcher: ContactMarch) -> Moving:
 def observe(marcher: ContactMarch, state: Moving, step_force: Array, history: History) -> float:
     """Append the state to the history; returns the normal contact force at that instant in N.
 
-    ``step_force`` (n, 3) is that of the step before, along the points' local frames.
+    ``step_force`` (n, 3) is that of the last step, along the points' local frames.
     """
     force = float(marcher.body.contact.weights @ instant_force(marcher, state, step_force))
     moved = marcher.body.contact.displacements(state.u)
@@ -245,15 +245,15 @@ def observe(marcher: ContactMarch, state: Moving, step_force: Array, history: Hi
 
 
 def instant_force(marcher: ContactMarch, state: Moving, step_force: Array) -> Array:
-    """Normal force per area share (n,) at the end of a step; on a rigid plane, and where a dashpot
-    is in it, the step's own mean."""
+    """Normal force per area share (n,) at a step's end; its mean on a rigid plane or with a
+    dashpot."""
     if marcher.rigid_multiplier or marcher.contact.points.dashpot != 0.0:
         return step_force[:, 0]
     return marcher.normal_force(state.approach)
 
 
 def step_limit(marcher: ContactMarch, until_s: float) -> int:
-    """How many steps a touch may take that is to end before ``until_s``."""
+    """Number of steps allowed for a touch that is to end before ``until_s``."""
     stays = marcher.method.law.kind.remembers and math.isinf(until_s)
     return STEP_LIMIT // STAYING if stays else STEP_LIMIT
 

@@ -1,4 +1,4 @@
-"""One drop: free fall, impact after impact, exact flight between them."""
+"""One drop: free fall, impacts, and exact flight between them."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from .time.motion import flyer
 from .time.scheme import TimeScheme
 
 TOUCH_LIMIT = 10_000
-# A touch so few steps away is marched to, not flown to: it costs little, and the full order, which
-# holds more than the modes that it flies in, loses nothing.
+# A touch within this many steps is reached by time steps, not by flight. That costs little, and the
+# full-order body loses no energy outside its flight modes.
 WAIT_STEPS = 100
-# What an estimate of a reduced body's error resolves, in units of the impact speed: bodies that are
-# compared share the responses of the tip, which are exact at one shift only.
+# Resolution of the estimated error of a reduced body, in units of the impact speed: the compared
+# bodies share the responses of the tip, which are exact at one shift only.
 RESOLVED = 1e-6
 # Intervals of an impact in which the speeds of reduced bodies are compared.
 COMPARED = 64
-# Of a step from one reduced body to a finer one over the step before it: taken as at most this.
+# Largest ratio assumed between successive differences of ever finer reduced bodies.
 LARGEST_RATIO = 0.9
 FLIGHT_ROWS = 200
 
@@ -49,13 +49,13 @@ class FlightFrame(Protocol):
     def modal(self) -> ModalBody: ...
 
     def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
-        """The pose in which the body flies off, and displacement and velocity in modes on top of
-        it, from its own vectors in ``pose``."""
+        """The pose at the start of flight, and modal displacement and velocity relative to it, from
+        the body's own vectors in ``pose``."""
         ...
 
     def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
-        """The body's own vectors of displacement and velocity in modes; ComputationError where they
-        are not found."""
+        """The body's own displacement and velocity from modal ones; ComputationError if there are
+        none."""
         ...
 
     def energy_J(self, u: Array, v: Array) -> float:
@@ -65,7 +65,7 @@ class FlightFrame(Protocol):
 
 @dataclass(frozen=True)
 class ModalFrame:
-    """A body that is modal already; ``coarser`` ones, from few modes on, tell how far it is off."""
+    """A body that is already modal; ``coarser`` ones, in ascending order, estimate its error."""
 
     modal: ModalBody
     coarser: tuple[ModalBody, ...] = ()
@@ -86,11 +86,11 @@ class ModalFrame:
 
 @dataclass(frozen=True)
 class DropPlan:
-    """What to simulate: from which height, with which contact, steps and end.
+    """Inputs of a drop: height, contact, time step and end.
 
     The bristle leans by ``tilt_deg`` toward its thin side and ``tilt_wide_deg`` toward its wide
-    one, over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its
-    tip touches. Upright, the body's axes are the columns of ``axes`` (3, 3) in the world (None: the
+    one, over ``ground`` (None: a horizontal plane), and falls ``height_m`` until a point of its tip
+    touches. The columns of ``axes`` (3, 3) are the upright body's axes in the world (None: the
     world's own). ``until_s`` is a time after release, or None to end after the first rebound;
     ``impact_only`` ends at the last release of the first impact. ``release_speed_m_s`` is the
     downward speed at the start, ``drag_kg_m`` the air's drag over the square of the vertical speed.
@@ -113,17 +113,17 @@ class DropPlan:
 
 @dataclass
 class DropResult:
-    """What a drop gave; names and units as in result.json.
+    """Result of a drop; names and units as in result.json.
 
     ``rebound_height_m`` is the greatest height of the lower tip's middle over where it first
-    touched, ``cm_rebound_height_m`` that of the centre of mass over where it was then, both before
+    touched, ``cm_rebound_height_m`` that of the centre of mass over its position then, both before
     the second impact. ``velocity_after_m_s`` (3,) of the centre of mass and ``spin_after_rad_s``
-    (3,), about body axes, are those after the last release of the first impact. Heights are None
-    where the drop ends before the rebound has been seen to its top or to the second impact; the
-    time in contact and what follows it are NaN where it ends within the first impact.
-    ``friction_impulse_N_s`` is the size of the impulse across the normal one. ``reduction_error``
-    estimates what a reduced body got wrong against the full order by the end of the first impact,
-    in units of the impact speed; None for bodies that leave nothing out.
+    (3,), about body axes, are those after the last release of the first impact. Heights are None if
+    the drop ends before the top of the rebound or the second impact is reached. If it ends within
+    the first impact the time in contact, and all that follows it, is NaN. ``friction_impulse_N_s``
+    is the size of the tangential impulse. ``reduction_error`` estimates the error of a reduced body
+    against the full order by the end of the first impact, in units of the impact speed; None for
+    bodies without reduction.
     """
 
     impact_speed_m_s: float
@@ -163,11 +163,11 @@ def simulate(
     observer: Observer | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> DropResult:
-    """Simulate a drop: contact is marched, flight is exact.
+    """Simulate a drop: time steps in contact, exact flight otherwise.
 
-    ``marcher`` may be handed in to share factors between drops; it must be made for the plan.
-    ``observer`` sees every marched state. What is marched step by step goes on from
-    ``checkpoint``. Raises ComputationError.
+    A ``marcher`` made for the plan may be passed, to share factors between drops. ``observer`` is
+    called with every state in contact. Stepwise marches resume from ``checkpoint``. Raises
+    ComputationError.
     """
     body = frame.body
     marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, plan.gravity_m_s2)
@@ -221,7 +221,7 @@ def simulate(
 @dataclass(frozen=True)
 class Impact:
     """The touches of one impact, the greatest heights of the tip and of the centre of mass between
-    them, and the flight that follows it; ``ended`` says that no touch of it was to come when the
+    them, and the flight that follows it. ``ended`` says that no touch of it was to come when the
     drop ended."""
 
     all_touches: list[ContactPhase]
@@ -232,14 +232,14 @@ class Impact:
 
     @property
     def touches(self) -> list[ContactPhase]:
-        """Those that pushed."""
+        """The touches with an impulse."""
         return [touch for touch in self.all_touches if touch.impulse_N_s != 0.0]
 
 
 @dataclass
 class Losses:
-    """What a drop has lost so far, in J; flights lose where they are ``damped`` or the air
-    ``drags``, which takes what rigid motion loses."""
+    """Energy lost in a drop so far, in J. A flight has losses if it is ``damped`` or if the air
+    ``drags``, which takes all that rigid motion loses."""
 
     material_J: float
     drag_J: float
@@ -250,18 +250,18 @@ class Losses:
     flight_J: float = 0.0
 
     def change(self, flying: Energies, own_J: float, sign: float) -> None:
-        """The body takes off (``sign`` 1) or lands (-1): what its own motion has beyond that in
-        the modes that it flies in."""
+        """Account for take-off (``sign`` 1) or landing (-1): the energy of the body's own motion
+        beyond that of its flight modes."""
         self.flight_J += sign * (own_J - flying.kinetic - flying.strain)
 
     def add(self, touch: ContactPhase) -> None:
-        """A touch takes its part."""
+        """Add the losses of a touch."""
         self.material_J += touch.material_loss_J
         self.friction_J += touch.friction_loss_J
         self.contact_J += touch.contact_loss_J
 
     def fly(self, flight: Flight, stop_s: float) -> None:
-        """So does a flight until then: of what rings by its damping, of the rest by drag."""
+        """Add the losses of a flight until ``stop_s``: vibration's to damping, the rest to drag."""
         if not (self.damped or self.drags):
             return
         start, stop = flight.energies(flight.t0_s), flight.energies(stop_s)
@@ -272,7 +272,7 @@ class Losses:
 
 
 class Stage:
-    """A body over its ground: what the events of one drop share."""
+    """A body over its ground: data shared by the events of one drop."""
 
     def __init__(self, frame: FlightFrame, marcher: ContactMarch, plan: DropPlan) -> None:
         self.frame, self.marcher, self.plan = frame, marcher, plan
@@ -311,11 +311,11 @@ class Stage:
         return -self.speed_m_s * pose.rotation[2]
 
     def place(self, pose: Pose) -> None:
-        """The body comes down in ``pose``."""
+        """Place the body in ``pose`` at the end of its fall."""
         self.marcher.place(place(self.ground, pose, self.frame.body.contact, self.datum_m))
 
     def fly(self, pose: Pose, touch: ContactPhase) -> tuple[Flight, Flown]:
-        """The flight after a touch, and how it ends."""
+        """The flight after a touch."""
         start = stance(*self.frame.launched(pose, touch.u, touch.v))
         most = MOST_LEFT * self.initial_J if touch.released else math.inf
         planes = self.ground.normals, self.ground.offsets_m
@@ -330,8 +330,8 @@ class Stage:
         return flight, flown
 
     def rebound(self, impact: Impact) -> tuple[float, float] | tuple[None, None]:
-        """Greatest heights of the tip and of the centre of mass before the second impact; None
-        where the drop ends before they, or the second impact, have been seen."""
+        """Greatest heights of the tip and of the centre of mass before the second impact; None if
+        the drop ends before they, or the second impact, are reached."""
         flown = impact.flown
         seen_s = impact.flight.t0_s + max(flown.tip_s, flown.centre_s)
         if self.plan.impact_only or not impact.ended or self.end_s < seen_s:
@@ -340,7 +340,7 @@ class Stage:
         return float(tip - self.datum_m), float(centre)
 
     def result(self, first: Impact, energy: Energy, n_steps: int) -> DropResult:
-        """What the drop gave, by its ``first`` impact and the ``energy`` at its end."""
+        """The drop's result, from its ``first`` impact and the ``energy`` at its end."""
         touches, losses, height = first.touches, self.losses, self.plan.height_m
         began_s = touches[0].start_s
         deepest = max(touches, key=lambda touch: touch.max_penetration_m)
@@ -377,12 +377,12 @@ class Stage:
 
 
 def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> float | None:
-    """About how far the velocities of the impact are from the full order's, for a reduced body.
+    """Estimated error of a reduced body's velocities after the impact, over the impact speed.
 
-    In units of the impact speed, a spin counting by its energy. Bodies are compared by the motion
-    after the impact and by the speed of the centre of mass all through it, since a single number
-    may agree by chance. Steps from body to finer body are taken to go on as a geometric series with
-    the ratio of the last two, at most `LARGEST_RATIO`.
+    A spin counts by its energy. Bodies are compared by the motion after the impact and by the speed
+    of the centre of mass throughout it, since a single number may agree by chance. Differences
+    between ever finer bodies are extrapolated as a geometric series with the last ratio, at most
+    `LARGEST_RATIO`.
     """
     if not isinstance(frame, ModalFrame) or not frame.coarser or math.isnan(found.contact_time_s):
         return None
@@ -416,12 +416,12 @@ def _motion_after(found: DropResult, gyration_m: Array) -> Array:
 
 
 def _across(touch: ContactPhase) -> float:
-    """Size of a touch's impulse beyond the normal one."""
+    """Size of a touch's tangential impulse."""
     return math.sqrt(max(float(touch.push_N_s @ touch.push_N_s) - touch.impulse_N_s**2, 0.0))
 
 
 def slowest_period_s(body: ModalBody) -> float:
-    """Period of the slowest elastic mode; zero where the body is rigid."""
+    """Period of the slowest elastic mode; zero if the body is rigid."""
     elastic = body.omega2[body.omega2 > 0.0]
     return float(2.0 * math.pi / math.sqrt(elastic.min())) if len(elastic) else 0.0
 
@@ -437,7 +437,7 @@ def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) ->
 def _record_flight(
     history: History, flight: Flight, start_s: float, stop_s: float, stage: Stage
 ) -> None:
-    """Tip and centre of mass at equal times; the marched step in which it was released stays."""
+    """Record tip and centre of mass at equal times; the step in which it was released stays."""
     start_s = max(start_s, history.rows[-1][0])
     if stop_s <= start_s:
         return

@@ -1,4 +1,4 @@
-"""Where the energy is and where it went: the budget of a run."""
+"""Energy budget of a run: energy at an instant, and losses."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from .time.march import ContactMarch, Moving
 
-# Energy budgets that close worse, in units of the impact's energy, tell of a motion that went
-# astray, which misses by several times it: 600 drops that lean by up to 12 degrees close to 0.02.
+# A budget with a larger closure, in units of the impact's energy, means that the motion went
+# astray, which misses by several times this. 600 drops that lean by up to 12 degrees close to 0.02.
 ASTRAY = 0.1
-# So does an impact that leaves more than so many times a drop's energy, whatever the scheme.
+# An impact that leaves more than so many times a drop's energy went astray too.
 MOST_LEFT = 2.0
 
 
@@ -31,10 +31,11 @@ class Energy:
 
 @dataclass
 class Budget:
-    """The energy budget: what there was, is, was lost to what, and what is unaccounted for.
+    """The energy budget: initial and present energy, losses, and what is unaccounted for.
 
     ``closure_relative`` is |``numerical_J``| over the energy of the impact, m g y0. ``flight_J`` is
-    the part of ``numerical_J`` that changes to and from the modes which a solid flies in leave out.
+    the part of ``numerical_J`` from changes to and from the modes of flight, which omit some of a
+    solid's energy.
     """
 
     initial_J: float
@@ -60,7 +61,7 @@ class Budget:
         contact_loss_J: float = 0.0,
         drag_loss_J: float = 0.0,
     ) -> Budget:
-        """Close the budget: what neither remains nor was dissipated by physics is numerical."""
+        """Close the budget: energy neither present nor dissipated by physics is numerical."""
         lost = material_loss_J + friction_loss_J + contact_loss_J + drag_loss_J
         numerical = initial_J - now.total_J - lost
         return cls(
@@ -76,7 +77,7 @@ class Budget:
 
 
 def contact_energy_J(marcher: ContactMarch, state: Moving) -> float:
-    """What contact holds in the latest state on the march: the law, friction's springs, and
+    """Energy stored in contact in the march's latest state: by the law, friction's springs, and
     Nitsche's boundary terms."""
     weights, contact = marcher.body.contact.weights, marcher.contact
     held = contact.spring_energy_J()
@@ -91,8 +92,7 @@ def contact_energy_J(marcher: ContactMarch, state: Moving) -> float:
 
 
 def marching_energy(marcher: ContactMarch, state: Moving) -> Energy:
-    """Energy of the latest state on the march; ``potential_J`` is zero where the tip first
-    touches."""
+    """Energy of the march's latest state; ``potential_J`` is zero where the tip first touches."""
     body = marcher.body
     return Energy(
         kinetic_J=0.5 * body.dot(state.v, state.mv),

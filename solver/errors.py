@@ -1,4 +1,4 @@
-"""Which errors a user is meant to see: wrong input, and a computation that failed."""
+"""Errors meant for the user: wrong input, and a computation that failed."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 class BristleError(Exception):
     """Base of the errors that end a command with one line and no traceback.
 
-    ``inputs`` are the inputs that the remedy in the message is about, by their names in Python; a
-    command says how they are called there.
+    ``inputs`` are the Python names of the inputs that the remedy in the message concerns; a command
+    translates them into its own options.
     """
 
     exit_status = 1
@@ -33,7 +33,7 @@ class ComputationError(BristleError):
 
 
 def require(comm: MPI.Intracomm, holds: bool, message: str) -> None:
-    """ComputationError on every rank, with one message, where something does not hold on one;
+    """Raise ComputationError with one message on every rank if ``holds`` is false on any;
     collective."""
     for found in comm.allgather("" if holds else message):
         if found:

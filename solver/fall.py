@@ -15,7 +15,7 @@ LEAST_DRAG_1_M = 1e-12
 
 
 def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[float, float]:
-    """Time and speed of a rigid fall from rest through ``height_m`` (Eq. 1 where alpha is zero)."""
+    """Time and speed of a rigid fall from rest through ``height_m`` (Eq. 1 for zero alpha)."""
     if alpha_1_s == 0.0:
         speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
         return speed / gravity_m_s2, speed
@@ -24,7 +24,7 @@ def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[f
     def beyond(t_s: float) -> float:
         return float(falling(t_s, gravity_m_s2, 0.0, alpha_1_s, 0.0)[0]) - height_m
 
-    # no later than in a vacuum and at the final speed, one after the other
+    # upper bound: the times in a vacuum and at the final speed, added
     latest = math.sqrt(2.0 * height_m / gravity_m_s2) + height_m * alpha_1_s / gravity_m_s2
     t = float(brentq(beyond, 0.0, 1.01 * latest, xtol=1e-16))
     return t, float(falling(t, gravity_m_s2, 0.0, alpha_1_s, 0.0)[1])
@@ -33,11 +33,11 @@ def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[f
 def dragged_fall(
     height_m: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float
 ) -> tuple[float, float]:
-    """Time and speed of a fall through ``height_m`` that starts with a downward speed.
+    """Time and speed of a fall through ``height_m`` with a downward initial speed.
 
     ``drag_1_m`` is quadratic drag over mass. An upward start rises first. The speed follows v' = g
-    - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k. Raises ComputationError
-    where the start is faster than v_∞.
+    - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k. Raises ComputationError if
+    the initial speed exceeds v_∞.
     """
     g, k, v0 = gravity_m_s2, drag_1_m, speed_m_s
     speed = math.sqrt(_end_speed2(height_m, g, v0, k))
@@ -58,7 +58,7 @@ def dragged_fall(
 def fallen(
     height_m: Array | float, gravity_m_s2: float, speed_m_s: Array | float, drag_1_m: Array | float
 ) -> Array:
-    """Height of the fall from rest in a vacuum that ends as fast as `dragged_fall`.
+    """Height of a fall from rest in a vacuum with the final speed of `dragged_fall`.
 
     Arrays broadcast. A start above the speed of steady fall is slowed.
     """
@@ -68,7 +68,7 @@ def fallen(
 def _end_speed2(
     height_m: Array | float, gravity_m_s2: float, speed_m_s: Array | float, drag_1_m: Array | float
 ) -> Array:
-    """The square of the speed at the end of `dragged_fall`, of arrays that broadcast."""
+    """Squared speed at the end of `dragged_fall`, for arrays that broadcast."""
     h, v0 = np.asarray(height_m), np.asarray(speed_m_s)
     k = np.maximum(drag_1_m, LEAST_DRAG_1_M)
     limit2 = gravity_m_s2 / k
@@ -81,7 +81,7 @@ def _end_speed2(
 
 
 def risen(height_m: Array | float, drag_1_m: Array | float) -> Array:
-    """How high a body comes that would rise ``height_m`` without drag ``drag_1_m`` over mass.
+    """Height that a body reaches with drag ``drag_1_m`` over mass, and without drag ``height_m``.
 
     Arrays broadcast.
     """
@@ -94,10 +94,10 @@ def risen(height_m: Array | float, drag_1_m: Array | float) -> Array:
 def falling(
     t_s: float, gravity_m_s2: float, speed_m_s: float, alpha_1_s: float, drag_1_m: float
 ) -> tuple[float, float]:
-    """Distance fallen after ``t_s``, negative while an upward start is above its origin, and the
-    speed then, both downward as is the start's ``speed_m_s``.
+    """Distance fallen after ``t_s`` and the speed then, both positive downward like ``speed_m_s``,
+    the initial speed. The distance is negative while an upward start is above its origin.
 
-    Damping in proportion to mass ``alpha_1_s`` or quadratic drag over mass ``drag_1_m`` acts.
+    Mass-proportional damping ``alpha_1_s`` or quadratic drag over mass ``drag_1_m`` acts.
     """
     if drag_1_m == 0.0 and alpha_1_s == 0.0:
         return speed_m_s * t_s + 0.5 * gravity_m_s2 * t_s * t_s, speed_m_s + gravity_m_s2 * t_s

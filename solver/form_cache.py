@@ -1,9 +1,9 @@
 """Cache of compiled UFL forms, safe against other processes and against interruption.
 
-FFCx keeps compiled forms on disk; a process that finds one begun waits ten seconds for its end and
-then fails, also where whoever began it was killed. Here every process, rank or not, compiles with
-a lock held, which the system takes back from one that dies. What is half-made when the lock has
-been had is therefore nobody's, and is dropped.
+FFCx keeps compiled forms on disk. A process that finds an unfinished one waits ten seconds and then
+fails, even if the process that started it was killed. Here every process, rank or not, compiles
+while it holds a lock, which the system releases when a process dies. So whatever is unfinished when
+the lock is acquired was abandoned, and is removed.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ LOCK = "lock"
 
 
 def form(expression: ufl.Form) -> Any:
-    """The form, compiled by this rank alone or read from disk; RuntimeError where it cannot be."""
+    """The form, compiled by this rank alone or read from disk; RuntimeError if that fails."""
     with _alone() as folder, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Applying str")  # to points of custom quadrature
+        warnings.filterwarnings("ignore", "Applying str")  # for points of custom quadrature
         options = {"cache_dir": str(folder)}
         jit.ffcx_jit(MPI.COMM_SELF, expression, {"scalar_type": default_scalar_type}, options)
-    return fem.form(expression, jit_options=options)  # found by all ranks, so none waits
+    return fem.form(expression, jit_options=options)  # all ranks find it compiled, so none waits
 
 
 def expression(value: ufl.core.expr.Expr, points: Array) -> fem.Expression:
@@ -46,7 +46,7 @@ def expression(value: ufl.core.expr.Expr, points: Array) -> fem.Expression:
 
 @contextmanager
 def _alone() -> Iterator[Path]:
-    """The folder of compiled forms, with no other process at work in it."""
+    """The folder of compiled forms, locked against other processes."""
     folder = _folder()
     with (folder / LOCK).open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -58,7 +58,7 @@ def _alone() -> Iterator[Path]:
 
 @cache
 def _folder() -> Path:
-    """One that can be written and locked: the user's, or this process' own."""
+    """A folder that can be written and locked: the user's, or this process' own."""
     folder = writable_folder("forms")
     try:
         with (folder / LOCK).open("w") as file:

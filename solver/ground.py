@@ -1,4 +1,4 @@
-"""What a tip lands on: a plane under each of its points, and how stiff it is there."""
+"""The ground under a tip: a plane under each contact point, and its local stiffness."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Ground:
     """The surface as each contact point sees it, rigid in shape.
 
     Point i meets the plane ``normals[i]`` · x = ``offsets_m[i]`` in world axes; ``scale`` (n,) is
-    the stiffness of contact there over the law's.
+    the local contact stiffness over the law's.
     """
 
     normals: Array
@@ -32,7 +32,7 @@ class Ground:
     def plane(cls, n_points: int, normal: Array | None = None) -> Ground:
         """One plane through the origin for all points, horizontal unless ``normal`` (3,) is given.
 
-        Raises ValueError where the normal does not point up.
+        Raises ValueError if the normal does not point up.
         """
         up = np.array([0.0, 0.0, 1.0]) if normal is None else np.asarray(normal, dtype=float)
         if not up[2] > 0.0:
@@ -43,12 +43,12 @@ class Ground:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a body stands over the ground, in its own axes: ``pose`` in the world's.
+    """Position of a body over the ground, in body axes; ``pose`` is its pose in the world.
 
     ``frames`` (n, 3, 3) holds the normal and two tangents under each point as rows, ``gaps_m`` (n,)
-    the gaps of the unstrained body, ``scale`` (n,) the stiffness of contact over the law's; ``up``
-    (3,) is the vertical. ``tip_m`` and ``centre_m`` are the heights of the end section's middle,
-    from ``datum_m`` on, and of the centre of mass.
+    the gaps of the unstrained body, ``scale`` (n,) the contact stiffness over the law's; ``up``
+    (3,) is the vertical. ``tip_m`` is the height of the end section's middle over ``datum_m``,
+    ``centre_m`` that of the centre of mass.
     """
 
     ground: Ground
@@ -69,9 +69,9 @@ class Placement:
         return place(ground, pose, points, place(ground, pose, points).tip_m)
 
     def nearest(self, points: ContactPoints) -> tuple[Array, Array]:
-        """Where the unstrained body is nearest to the ground, and the ground's normal there, (3,).
+        """The place where the unstrained body is nearest to the ground, and the normal there, (3,).
 
-        Both in world axes; the centroid of the points where several are as near.
+        Both in world axes; the centroid if several points are equally near.
         """
         near = self.gaps_m <= self.gaps_m.min() + SAME_LEVEL_M
         weights = points.weights[near] / points.weights[near].sum()
@@ -102,7 +102,7 @@ def local_frames(
 
 
 def place(ground: Ground, pose: Pose, points: ContactPoints, datum_m: float = 0.0) -> Placement:
-    """A body in ``pose`` over the ``ground``; the tip's height counts from ``datum_m``."""
+    """Placement of a body in ``pose`` over ``ground``; the tip's height counts from ``datum_m``."""
     rotation = pose.rotation
     places = np.ascontiguousarray(points.places_m, dtype=float)
     frames, gaps = local_frames(ground.normals, ground.offsets_m, pose.position_m, rotation, places)
@@ -114,8 +114,8 @@ def place(ground: Ground, pose: Pose, points: ContactPoints, datum_m: float = 0.
 
 @njit
 def touched_offsets(normals: Array, offsets: Array, rotation: Array, places: Array) -> Array:
-    """Offsets (n,) of the planes moved up or down together until the first of ``places`` just
-    touches, of a body in the origin."""
+    """Offsets (n,) of the planes, moved up or down together until the first of ``places`` just
+    touches, for a body at the origin."""
     clear = math.inf
     for i in range(len(places)):
         gap = normals[i] @ (rotation @ places[i]) - offsets[i]
@@ -124,7 +124,7 @@ def touched_offsets(normals: Array, offsets: Array, rotation: Array, places: Arr
 
 
 def just_touched(ground: Ground, pose: Pose, points: ContactPoints) -> Ground:
-    """The ground moved up or down until the unstrained body's first point just touches it."""
+    """The ground, moved up or down until the unstrained body's first point just touches it."""
     places = np.ascontiguousarray(points.places_m, dtype=float)
     there = ground.offsets_m - ground.normals @ pose.position_m
     moved = touched_offsets(ground.normals, there, pose.rotation, places)

@@ -26,9 +26,9 @@ from .time import modal_march
 from .time.march import ContactMarch, Marcher, Moving
 from .time.modal_march import MarchLimits
 
-# What rounding makes of a step's losses at most, in units of the energy at hand. A loss is work
-# less what comes to be stored. Each is a product of a few rounded factors, and no greater than that
-# energy; area shares sum to one, so that the number of points does not matter.
+# Bound on the rounding of a step's losses, over the present energy. A loss is work less the change
+# of stored energy. Each is a product of a few rounded factors, and no greater than that energy;
+# area shares sum to one, so the number of points does not matter.
 ROUNDED = 64.0 * float(np.finfo(float).eps)
 
 
@@ -46,12 +46,11 @@ def march_contact(
 ) -> ContactPhase:
     """March from (u, v) at ``t_s`` until the tip is free again, or past ``until_s``.
 
-    With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
-    ``memory`` (n,) is what the law remembers of its points, None where they have not been touched.
-    A march in steps writes to ``checkpoint`` and resumes from it.
-    Raises ComputationError where contact forces do not converge, motion is not finite, friction or
-    the contact law gave energy, or the tip is still in contact after a number of steps that no
-    impact needs.
+    With ``wait_s`` the start may be clear of the plane: the march waits for a touch until that
+    time. ``memory`` (n,) is the law's state at the points, None if they have not been touched. A
+    stepwise march writes to ``checkpoint`` and resumes from it. Raises ComputationError if contact
+    forces do not converge, motion is not finite, friction or the contact law added energy, or the
+    tip is still in contact after a number of steps that no impact needs.
     """
     if body_bends(marcher) and (observer is not None or not compiled(marcher)):
         raise ComputationError(
@@ -71,9 +70,9 @@ def march_contact(
 
 
 def gain_allowed(marcher: ContactMarch, n_steps: Array | int) -> Array | float:
-    """The share of the energy at hand up to which a negative loss is rounding.
+    """Share of the present energy up to which a negative loss counts as rounding.
 
-    A multiplier is found to `MULTIPLIER_TOLERANCE` of the work of a step. All steps of an impact
+    A multiplier is accurate to `MULTIPLIER_TOLERANCE` of the work of a step. All steps of an impact
     together do work of a few times its energy.
     """
     augmented = marcher.method.enforcement is Enforcement.AUGMENTED
@@ -81,10 +80,10 @@ def gain_allowed(marcher: ContactMarch, n_steps: Array | int) -> Array | float:
 
 
 def _check_losses(marcher: ContactMarch, u: Array, v: Array, touch: ContactPhase) -> None:
-    """ComputationError where friction or the contact law gave energy.
+    """Raise ComputationError if friction or the contact law added energy.
 
-    What they took is the difference of work and of what is stored, so that a budget with a law that
-    makes energy closes all the same. Schemes other than the conserving one promise nothing.
+    Their losses are work less the change of stored energy, so a budget closes even with a law that
+    creates energy. Schemes other than the conserving one guarantee nothing.
     """
     if not marcher.scheme.conserving:
         return
@@ -109,7 +108,7 @@ def body_bends(marcher: ContactMarch) -> bool:
 
 
 def compiled(marcher: ContactMarch) -> TypeGuard[Marcher]:
-    """Whether the compiled march serves: modes, the conserving scheme, a law that acts on gaps."""
+    """Whether the compiled march applies: modes, the conserving scheme, a law that acts on gaps."""
     return (
         isinstance(marcher, Marcher)
         and isinstance(marcher.body, ModalBody)

@@ -25,11 +25,10 @@ class MaterialName(StrEnum):
 
 @dataclass(frozen=True)
 class Typical:
-    """A material: E in Pa, Poisson's ratio, density in kg/m³, its yield strength in Pa, and its
-    damping.
+    """A material: E in Pa, Poisson's ratio, density in kg/m³, yield strength in Pa, and damping.
 
-    Damping is the loss per radian over the elastic energy, ``loss_factor``, or Rayleigh's
-    ``beta_s`` in s where that was found itself. ``source`` has the ranges.
+    Damping is ``loss_factor``, the loss per radian over the elastic energy, or Rayleigh's
+    ``beta_s`` in s if that was measured itself. ``source`` has the ranges.
     """
 
     youngs_Pa: float
@@ -41,8 +40,8 @@ class Typical:
     beta_s: float | None = None
 
     def damping_s(self, length_m: float, youngs_Pa: float, density_kg_m3: float) -> float:
-        """Rayleigh's β in s that gives a free bar of this length, E and density the loss factor in
-        its first axial mode, η = β ω with ω = π c / L."""
+        """Rayleigh's β in s for which a free bar of this length, E and density has the loss factor
+        in its first axial mode: η = β ω with ω = π c / L."""
         if self.beta_s is not None:
             return self.beta_s
         speed_m_s = math.sqrt(youngs_Pa / density_kg_m3)

@@ -1,14 +1,13 @@
 """Stress at the nodes of a solid, from its displacement.
 
-The stress of a finite element displacement jumps from cell to cell, and at the nodes it is at its
-worst. It is most accurate at the p × p × p Gauss points of a hexahedron of degree p (Barlow, Int.
-J. Numer. Methods Eng. 10, 1976; Zienkiewicz and Zhu, ibid. 33, 1992), and within a tetrahedron at
-the points of the rule of degree 2p - 2, the middle or four about it. So it is evaluated there,
-carried to the nodes by the polynomial of degree p - 1 through these points, and averaged over the
-cells that meet at a node. In one material the true stress is continuous, and so is the field that
-results. It lives on the nodes of the displacement, hence one file holds both and a picture can be
-warped by one and coloured by the other. A displacement of degree p gives its stress exactly, where
-the cells are not curved.
+The stress of a finite element displacement is discontinuous between cells, and least accurate at
+the nodes. It is most accurate at the p × p × p Gauss points of a hexahedron of degree p (Barlow,
+Int. J. Numer. Methods Eng. 10, 1976; Zienkiewicz and Zhu, ibid. 33, 1992), and within a tetrahedron
+at the points of the rule of degree 2p - 2: the middle, or four about it. So it is evaluated there,
+extrapolated to the nodes by the polynomial of degree p - 1, and averaged over the cells at a node.
+In one material the true stress is continuous, and so is the result. It is defined on the nodes of
+the displacement, so one file holds both, and a picture can be warped by one and coloured by the
+other. The stress of a displacement of degree p is exact if the cells are not curved.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 class NodalStress:
     """Stress at the nodes of ``displacement``'s space; compiled once, here. Collective.
 
-    Where strain is ``finite`` it is the second of Piola and Kirchhoff: along the body's own axes,
-    however it has turned.
+    At ``finite`` strain it is the second Piola-Kirchhoff stress, along the body's own axes.
     """
 
     def __init__(
@@ -66,7 +64,7 @@ class NodalStress:
         return self._share * self._over_cells(at_nodes.reshape(-1, len(VOIGT)))
 
     def _over_cells(self, at_nodes: Array) -> Array:
-        """Sum (nodes, 6) of what each cell of any rank has for its nodes (cells × nodes, 6)."""
+        """Sum (nodes, 6) over all ranks' cells of their values at nodes (cells × nodes, 6)."""
         self._sum.array[:] = (self._gather @ at_nodes).ravel()
         self._sum.scatter_reverse(la.InsertMode.add)
         self._sum.scatter_forward()
@@ -74,7 +72,7 @@ class NodalStress:
 
 
 def stress_points(element: basix.finite_element.FiniteElement) -> Array:
-    """Points (m, 3) of a cell, as many as a polynomial of the degree of its strain needs."""
+    """Points (m, 3) of a cell, as many as a polynomial of its strain's degree needs."""
     degree = 2 * element.degree - 2
     if element.cell_type is basix.CellType.hexahedron:
         degree += 1

@@ -1,8 +1,8 @@
-"""What the paper says: its bristle, its measurements, its results, each with the place it stands.
+"""Data of the paper: its bristle, measurements and results, each with its place in the text.
 
 Vanegas-Useche, Abdel-Wahab and Parker, "Determination of the Normal Contact Stiffness and
-Integration Time Step for the Finite Element Modeling of Bristle-Surface Interaction",
-Computers, Materials & Continua 56(1), 2018. SI units.
+Integration Time Step for the Finite Element Modeling of Bristle-Surface Interaction", Computers,
+Materials & Continua 56(1), 2018. SI units.
 """
 
 from typing import Final
@@ -42,7 +42,7 @@ R2_LINEAR: Final = 0.7326
 R2_QUADRATIC: Final = 0.7394
 KNOWN_DROP_M: Final = (0.0505, 0.034)
 
-# What the simulations gave: y1/y0 at the three stiffnesses that the paper quotes.
+# Simulated y1/y0 at the three stiffnesses that the paper quotes.
 RATIO_AT_KN: Final = {1e4: 1.0, 2e6: 0.65, 1e8: 0.3}
 # Eq. 8 evaluated in the text: time from impact to greatest penetration.
 TIME_TO_PEAK_S: Final = {1e4: 0.82e-3, 1e8: 0.01e-3}

@@ -4,12 +4,12 @@
         simulate(frame, plan, marcher, observer=writer)
         writer.write_flight()
 
-In the folder: ``solid.bp`` with displacement, velocity, axial and von Mises stress on the nodes of
-the solution (a cell of degree 2 stays one, with its 27 nodes); ``tip.bp`` with contact pressure,
+The folder holds: ``solid.bp`` with displacement, velocity, axial and von Mises stress on the nodes
+of the solution (a cell of degree 2 stays one, with its 27 nodes); ``tip.bp`` with contact pressure,
 gap and displacement on the nodes of the tip's face; ``ground.vtk``, the surface as a square;
-``frames.csv`` with time and phase of each frame. The .bp are ADIOS2's BP4 with VTX' schema:
-ParaView reads them with ADIOS2VTXReader, in parallel if need be. Every frame is on the disk when
-``write`` returns, so a run that is killed leaves all of them readable.
+``frames.csv`` with time and phase of each frame. The .bp files are ADIOS2's BP4 with the VTX
+schema; ParaView reads them with ADIOS2VTXReader, also in parallel. Every frame is on disk when
+``write`` returns, so they stay readable if the run is killed.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from .tip_face import TipFace
 
 SOLID_FILE, TIP_FILE, FRAMES_FILE = "solid.bp", "tip.bp", "frames.csv"
 GROUND_FILE = "ground.vtk"
-# Half the side of the ground's square, in lengths of the bristle.
+# Half the side of the ground's square, over the bristle's length.
 GROUND_REACH = 0.1
-# Frames of a flight from touch to touch, and of the last one.
+# Frames of a flight between touches, and of the last one.
 BETWEEN, FLIGHT_FRAMES = 12, 80
 FRAMES_PER_PERIOD = 40
 AXIAL = VOIGT.index((2, 2))
 
 
 class Phase(StrEnum):
-    """What the body was doing at a frame."""
+    """Phase of the motion at a frame."""
 
     TOUCH = "touch"
     CONTACT = "contact"
@@ -61,34 +61,33 @@ class Phase(StrEnum):
 
 
 class FieldWriter:
-    """Writes frames of a solid's motion while it is marched: an observer of ``simulate``.
+    """Writes frames of a solid's motion during contact: an observer of ``simulate``.
 
-    Displacement is total: it carries the mesh, which stands upright, to where the body is in the
-    world, rotation included. The world's origin is where the tip first touches the ground (the
-    middle of what touches at once), its z points up, so that an upright bristle is not displaced
-    when it touches. Velocity stands along the world's axes, stresses along the body's own.
-    In flight both are the sum of the modes that the body flies in, whose rotation is the pose's, so
-    a displacement lacks what is of second order in the slopes of the bending. ``pressure_Pa``
-    integrates over the face to the contact force, see `TipFace`: with ``marcher``
-    the force at the frame's own instant, without it the mean over the step before.
+    Displacement is total: from the upright mesh to the body's position in the world, rotation
+    included. The world's origin is where the tip first touches the ground (the middle, if several
+    points touch at once), and z points up, so an upright bristle has no displacement when it
+    touches. Velocity is along the world's axes, stresses along the body's own. In flight both are
+    sums of the body's flight modes, whose rotation is the pose's; so a displacement lacks terms of
+    second order in the slopes of the bending. ``pressure_Pa`` integrates over the face to the
+    contact force, see `TipFace`: with ``marcher`` the force at the frame's own instant, otherwise
+    the mean over the last step.
 
-    A frame is written at each touch, then every ``every`` steps, and at release. Left out,
+    A frame is written at each touch, then every ``every`` steps, and at release. By default
     ``every`` gives 40 frames in the time in which a wave runs up and back, at most one per step.
     When half of ``max_frames`` are written ``every`` doubles, and again after each further
-    twentieth, so a contact a hundred times longer than expected is covered to its end. No more than
-    ``max_frames`` are written during contact, the last of them at a release; frames of flights come
-    on top: with ``frame``, which ``simulate`` flies in, `BETWEEN` from touch to touch, and those of
+    twentieth; so even a contact a hundred times longer than expected is covered to its end. At most
+    ``max_frames`` are written during contact, the last of them at a release. Frames of flights are
+    additional: with ``frame``, in which ``simulate`` flies, `BETWEEN` between touches, and those of
     `write_flight`.
 
-    The mesh goes with every frame: were it in the first alone, ParaView's reader would show nothing
-    where the first frame that it is asked for is another (seen in 5.13), as when a file is opened
-    at a later time or from a saved state.
+    The mesh is written with every frame. If only the first had it, ParaView's reader would show
+    nothing when the first frame requested is another (seen in 5.13), as when a file is opened at a
+    later time or from a saved state.
 
-    Frames of contact are kept in ``checkpoint``, so that a run that goes on from it shows them
-    again.
+    Frames of contact are stored in ``checkpoint``, so a resumed run writes them again.
 
     Construction, every call, ``write…`` and ``close`` are collective over the solid's ranks; forms
-    are compiled in construction alone. What the folder holds of an earlier run is replaced.
+    are compiled in construction alone. Files of an earlier run in the folder are replaced.
     """
 
     def __init__(
@@ -157,7 +156,7 @@ class FieldWriter:
         ]
 
     def _clear(self) -> None:
-        """Make the folder ready; ComputationError where that is not possible."""
+        """Prepare the folder; ComputationError if that is not possible."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in (SOLID_FILE, TIP_FILE):
@@ -171,7 +170,7 @@ class FieldWriter:
             ) from error
 
     def __call__(self, state: Moving, step_force: Array) -> None:
-        """Take note of a step; ``step_force`` (n contact points, 3) in N per area share."""
+        """Record a step; ``step_force`` (n contact points, 3) in N per area share."""
         self._fly_to(state.t_s)
         force, before = step_force[:, 0], self._phase
         if self._marcher is not None:
@@ -191,12 +190,12 @@ class FieldWriter:
             self._count()
 
     def memory(self) -> dict[str, Array]:
-        """Which frames were due so far, see `touch.Observer`."""
+        """The frames that were due so far, see `contact_phase.Observer`."""
         counts = [self._every, self._next_doubling, self._n_contact, self._since]
         return {"counts": np.array(counts), "phase": np.array(str(self._phase or ""))}
 
     def recall(self, mark: Mark, state: Moving) -> None:
-        """Write the frames that were kept, and go on counting."""
+        """Write the stored frames, and continue counting."""
         if mark.frames:
             self._fly_to(float(mark.frames[0]["t_s"]))
         if self._marcher is not None:
@@ -233,9 +232,9 @@ class FieldWriter:
         """Write one frame of any state: ``u``, ``v`` as in State, normal ``force`` (n,) in N or
         none.
 
-        The body stands where the marcher last placed it; at the first frame it touches the ground.
+        The body is where the marcher last placed it; at the first frame it touches the ground.
 
-        A frame that is not later than the last one is left out, since ParaView wants increasing
+        A frame that is not later than the last one is skipped, since ParaView needs increasing
         times. Raises ValueError after ``close``.
         """
         if not self._writers:
@@ -262,7 +261,8 @@ class FieldWriter:
         self.times_s.append(t_s)
 
     def _set_ground(self) -> Array:
-        """Write the ground that the body touches; returns where it does, the world's origin."""
+        """Write the ground that the body touches; returns the world's origin, the place of
+        contact."""
         origin, normal = self._placement.nearest(self.solid.contact)
         half = GROUND_REACH * self._height_m
         if self.comm.rank == 0:
@@ -272,10 +272,10 @@ class FieldWriter:
     def write_flight(
         self, n_frames: int = FLIGHT_FRAMES, advance: Callable[[], None] = lambda: None
     ) -> None:
-        """Write ``n_frames`` of two axial periods of the flight after the last state seen, to show
-        the wave run on.
+        """Write ``n_frames`` over two axial periods of flight after the last recorded state, to
+        show the wave travel on.
 
-        ``advance`` is called for each frame. Raises ValueError where no step was seen.
+        ``advance`` is called for each frame. Raises ValueError if no step was recorded.
         """
         if self._last is None:
             raise ValueError("there is no flight before the first step")
@@ -283,7 +283,7 @@ class FieldWriter:
         self._write_flight(np.linspace(self._last.t_s, end_s, n_frames + 1)[1:], advance)
 
     def _fly_to(self, t_s: float) -> None:
-        """Write the flight to a touch at ``t_s`` that was not marched to."""
+        """Write the flight to a touch at ``t_s`` that was not reached by time steps."""
         if self._last is None or self._frame is None or self._marcher is None:
             return
         flown = t_s - self._last.t_s > 2.0 * self._marcher.its_s
@@ -307,7 +307,7 @@ class FieldWriter:
             advance()
 
     def close(self) -> None:
-        """Finish the files; frames can no longer be added. Safe to call again. Collective."""
+        """Finish the files; no frames can be added afterwards. Safe to call again. Collective."""
         if not self._writers:
             return
         for writer in self._writers:

@@ -1,8 +1,8 @@
-"""Where a body is in space: poses, and the free rotation of a rigid body, exactly.
+"""Poses of a body in space, and the free rotation of a rigid body, exactly.
 
-A pose carries body axes (x thin side, y wide side, z along the bristle, origin in the centre of
-mass) into the world's (z up). Attitudes are unit quaternions (w, x, y, z), angular velocities
-stand in body axes.
+A pose maps body axes (x thin side, y wide side, z along the bristle, origin in the centre of mass)
+to the world's (z up). Attitudes are unit quaternions (w, x, y, z); angular velocities are in body
+axes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .fall import falling
 
 # Angle of one Runge-Kutta step; its error is about angle⁵/120.
 STEP_RAD = 0.02
-# Attitude, then angular velocity, of a body that turns.
+# Attitude, then angular velocity, of a rotating body.
 State = tuple[float, float, float, float, float, float, float]
 
 
@@ -86,12 +86,12 @@ def _ahead(s: State, h: float, d: State) -> State:
 def free_rotation(
     q: Array, w: Array, inertia: Array, alpha_1_s: float, start_s: float, end_s: float
 ) -> tuple[Array, Array]:
-    """Attitude and angular velocity at ``end_s`` of a body that turns freely since ``start_s``.
+    """Attitude and angular velocity at ``end_s`` of a body in free rotation since ``start_s``.
 
-    ``inertia`` (3,) are the principal moments. About one principal axis the rotation is closed
-    form; else Euler's equations are integrated by the classical Runge-Kutta method in steps of
-    `STEP_RAD`. Damping in proportion to mass slows the clock of the free motion: with
-    s = (1 - exp(-α t))/α, ω(t) = exp(-α t) ω_free(s).
+    ``inertia`` (3,) are the principal moments. Rotation about one principal axis is in closed form;
+    otherwise Euler's equations are integrated by the classical Runge-Kutta method in steps of
+    `STEP_RAD`. Mass-proportional damping slows the clock of the free motion: with s = (1 - exp(-α
+    t))/α, ω(t) = exp(-α t) ω_free(s).
     """
     duration = end_s - start_s
     slowed = 1.0
@@ -131,8 +131,8 @@ def fallen(
 ) -> tuple[Array, Array]:
     """Position and velocity (3,) of the centre of mass after ``t`` s of flight.
 
-    Damping by ``alpha_1_s`` acts on all motion, quadratic drag over mass ``drag_1_m`` on the
-    vertical one; one of them may be there.
+    Damping ``alpha_1_s`` acts on all motion, quadratic drag over mass ``drag_1_m`` on the vertical
+    one; at most one of them may be nonzero.
     """
     at, speed = position.copy(), velocity.copy()
     path, down = falling(t, gravity_m_s2, -velocity[2], alpha_1_s, drag_1_m)
@@ -146,23 +146,23 @@ def fallen(
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the centre of mass is (3,) in m, and how body axes stand in the world (4,)."""
+    """Position of the centre of mass (3,) in m, and attitude (4,) of the body axes in the world."""
 
     position_m: Array
     attitude: Array
 
     @property
     def rotation(self) -> Array:
-        """(3, 3), from body axes to the world's."""
+        """Rotation matrix (3, 3) from body axes to the world's."""
         return np.asarray(matrix_of(self.attitude))
 
     @classmethod
     def upright(cls) -> Pose:
-        """Body axes along the world's, the centre of mass in its origin."""
+        """Body axes along the world's, the centre of mass at its origin."""
         return cls(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     def moved(self, shift_m: Array, angle_rad: Array) -> Pose:
-        """After a displacement and a small rotation (3,), both in body axes."""
+        """The pose after a displacement and a small rotation (3,), both in body axes."""
         return Pose(
             self.position_m + self.rotation @ shift_m,
             product(self.attitude, turn(np.asarray(angle_rad, dtype=float))),

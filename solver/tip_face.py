@@ -20,10 +20,10 @@ class TipFace:
     """The tip's facets as a mesh, with fields of the solid's order on it. Collective.
 
     ``fields``: contact pressure (Pa), gap (m, positive above the plane), displacement (m). There
-    are more contact points than nodes. Pressure and gap are the fields nearest to what the points
-    have, in least squares by area, among those whose integral over the face is the points' sum: the
-    pressure carries the contact force. Beside the edge of contact it may dip below zero, as the
-    polynomials of the solid's order do.
+    are more contact points than nodes. Pressure and gap are area-weighted least-squares fits to the
+    values at the points, under the constraint that the integral over the face is the points' sum;
+    so the pressure carries the contact force. At the edge of contact the pressure may dip below
+    zero, as polynomials of the solid's order do.
     """
 
     def __init__(self, solid: SolidBody) -> None:
@@ -49,15 +49,15 @@ class TipFace:
         return [self.displacement, self.pressure, self.gap]
 
     def update(self, displacement: fem.Function, force: Array, gaps_m: Array) -> None:
-        """Take the solid's ``displacement``, and at the contact points the normal ``force`` (n,) in
-        N per area share and the gaps (n,)."""
+        """Update the fields from the solid's ``displacement`` and, at the contact points, the
+        normal ``force`` (n,) in N per area share and the gaps (n,)."""
         self.gap.x.array[:] = (self._fit @ gaps_m)[self._moving]
         self.pressure.x.array[:] = (self._fit @ force)[self._moving] / self.area_m2
         moved = displacement.x.array.reshape(-1, 3)[self._node]
         self.displacement.x.array[:] = moved.ravel()
 
     def _shares_m2(self, scalar: fem.FunctionSpace, count: int) -> Array:
-        """The integral over the face of each of its ``count`` nodes' shape functions."""
+        """Integrals over the face of its ``count`` nodes' shape functions."""
         degree = scalar.element.basix_element.degree + 2 * self.domain.geometry.cmap.degree
         dx = ufl.Measure("dx", domain=self.domain, metadata={"quadrature_degree": degree})
         local = fem.assemble_vector(form(ufl.TestFunction(scalar) * dx))
@@ -68,10 +68,10 @@ class TipFace:
 
 
 def _fit(shapes: Array, weights: Array, shares: Array) -> Array:
-    """Matrix (nodes, n) from values at n points to those at nodes, see TipFace.
+    """Matrix (nodes, n) from values at n points to values at nodes, see TipFace.
 
-    ``shapes`` (n, nodes) are the nodes' shape functions at the points, ``weights`` (n,) and
-    ``shares`` (nodes,) what points and nodes have of the face's area.
+    ``shapes`` (n, nodes) are the nodes' shape functions at the points. ``weights`` (n,) and
+    ``shares`` (nodes,) are the shares of points and nodes in the face's area.
     """
     weighted = shapes.T * weights
     normal = np.block([[weighted @ shapes, shares[:, None]], [shares, np.zeros(1)]])
@@ -79,7 +79,7 @@ def _fit(shapes: Array, weights: Array, shares: Array) -> Array:
 
 
 def _nearest(comm: MPI.Intracomm, candidates: Array, places: Array) -> NDArray[np.intp]:
-    """Index of the candidate at each place; ComputationError on all ranks where one has none."""
+    """Index of the candidate at each place; ComputationError on all ranks if a place has none."""
     distance, index = cKDTree(candidates).query(places)
     far = float(distance.max(initial=0.0))
     message = f"a node of the tip is {far:.3g} m from the nearest node of the solid"
