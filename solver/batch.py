@@ -110,8 +110,8 @@ class Drops:
         )
 
     def confined_to(self, part: SymmetricPart) -> NDArray[np.bool_]:
-        """Which drops (drops,) load a section along the axes of a ``part`` alone, and equally where
-        one point represents several."""
+        """Which drops (drops,) load a section along a ``part``'s axes alone, and equally within its
+        groups."""
         across = [axis for axis in (0, 1) if axis not in part.axes]
         tilts = np.stack([self.tilt_deg, self.tilt_wide_deg], axis=1)
         still = (tilts[:, across] == 0.0).all(axis=1)
@@ -195,8 +195,7 @@ class Columns(NamedTuple):
 
 @njit
 def one_drop(common: Common, points: Points, columns: Columns, which: int, out: Array) -> int:
-    """Write the result of drop ``which`` to ``out``, ordered as `Outcome`; returns the march's
-    status."""
+    """Write the result of drop ``which`` to ``out``, ordered as `Outcome`; returns the status."""
     modes, flyer, sky = common.modes, common.flyer, common.sky
     places, gravity, height = flyer.points.places, sky.gravity, columns.height[which]
     normals, rises = columns.normals[which], columns.rises[which]
@@ -290,7 +289,7 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
 
 
 def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float) -> Outcome:
-    """As `drop_many`, at the ITS ``its_s`` or, drop by drop, at the longest share of it that
+    """As `drop_many`, at the ITS ``its_s`` or, drop by drop, the longest share of it that
     converges.
 
     The result is NaN if none does, or if a bristle falls over, stays in contact, or slides for

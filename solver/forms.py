@@ -1,11 +1,11 @@
 """UFL forms of a solid in contact with a plane: strain, stress, inertia, damping, contact.
 
-A step of length h adds the increment d to the displacement u; the velocity changes from v to 2 d/h
-- v. The balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992). It conserves
-linear and angular momentum, and without damping also energy. At ``finite`` strain the stress is St.
-Venant and Kirchhoff's, S = C : E with the Green-Lagrange strain E, and the deformation gradient F =
-1 + grad u at mid-step carries it. At small strain F = 1 and E = sym grad u: linear elasticity.
-Damping is Rayleigh's: αM, and the stress β C : dE/dt.
+A step of length h adds the increment d to the displacement u and changes the velocity v to 2 d/h -
+v. The balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992). It conserves
+linear and angular momentum, and without damping also energy. At ``finite`` strain the stress is
+that of St. Venant and Kirchhoff, S = C : E with the Green-Lagrange strain E. It is carried by the
+deformation gradient F = 1 + grad u at mid-step. At small strain F = 1 and E = sym grad u: linear
+elasticity. Damping is Rayleigh's: αM, and the stress β C : dE/dt.
 
 Contact is an integral over the tip's facets (`StepForms.contact`). Its augmented gap, τ t - x less
 the plane, and its symbols are those of solver.contact.enforcement.
@@ -168,13 +168,12 @@ class StepForms:
         return self.elasticity.energy_density(self.u) * self._dx
 
     def stress_load(self) -> Expr:
-        """Virtual work of the stress of ``u`` on small strains of the test function."""
+        """Virtual work of the stress of ``u`` on small strains of the test."""
         body = self.elasticity
         return ufl.inner(body.stress(body.strain(self.u)), ufl.grad(self.test)) * self._dx
 
     def stress_rate_load(self) -> Expr:
-        """Virtual work of the stress rate, at ``u`` and ``v``, on small strains of the test
-        function."""
+        """Virtual work of the stress rate, at ``u`` and ``v``, on small strains of the test."""
         body = self.elasticity
         rate = body.stress(body.strain_change(self.u, self.v))
         return ufl.inner(rate, ufl.grad(self.test)) * self._dx
@@ -254,8 +253,7 @@ class PlaneData:
     """Coefficients of a rigid plane and of its enforcement in the forms.
 
     The plane is n · x = offset. ``stiffness`` is Kn in series with Nitsche's compliance ``tau``,
-    ``kt`` friction's stiffness, ``elongation`` (m) that of friction's springs at the start of the
-    step.
+    ``kt`` friction's stiffness, ``elongation`` (m) that of its springs at the start of the step.
     """
 
     normal: fem.Constant

@@ -53,8 +53,7 @@ def turned(vectors: Array, pose: Pose) -> Array:
 
 @dataclass(frozen=True)
 class Series:
-    """A field over time: ``series[i]`` is a new Function, the field at the i-th instant.
-    Collective."""
+    """A field over time: ``series[i]`` is a new Function for the i-th instant. Collective."""
 
     times_s: Array
     make: Callable[[int], fem.Function]

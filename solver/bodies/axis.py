@@ -108,12 +108,10 @@ def _mean_strain(
 
 @njit
 def second_order_force(axis: Shortening, before: Array, after: Array, its: float) -> Array:
-    """Force (modes,) over a step of ``its`` s, from the second-order part of the energy and its
-    damping.
+    """Force (modes,) over a step of ``its`` s, from the second-order energy and its damping.
 
     ``before`` and ``after`` (3 g,) are rows @ u at its ends. It is the discrete gradient of the
-    energy (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so the step conserves
-    energy.
+    energy (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so energy is conserved.
     """
     g = len(axis.weights)
     pull = np.empty(len(before))

@@ -52,8 +52,7 @@ class ContactPoints:
 
     @cached_property
     def displacement(self) -> SparseOrDense:
-        """Displacement of every point along every axis, as rows (3 n, dofs) over this rank's
-        unknowns."""
+        """Displacement of every point along every axis, as rows (3 n, dofs) over the unknowns."""
         return self.rows @ dense_of(self.coordinates)
 
     def moved(self, u: Array) -> Array:

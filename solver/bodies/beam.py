@@ -73,7 +73,7 @@ def beam_matrices(
 def beam_contact(
     bristle: Bristle, n_elements: int, *, face: bool, points: int = CONTACT_POINTS
 ) -> ContactPoints:
-    """The contact points of the end section: ``points`` across each side (``face``), or one on the
+    """Contact points of the end section: ``points`` across each side (``face``), or one on the
     axis."""
     section, material = bristle.section, bristle.material
     if face:

@@ -16,8 +16,7 @@ from ..rigid import Pose, matrix_of, product, turn
 from .base import summed
 from .reduced import ReducedModel, slowest_1_s2
 
-# Iteration limits: rotations of the frame, and corrections of a strain; and the rotation that ends
-# them.
+# Limits of iteration: rotations of the frame, and corrections of a strain.
 TURNS, STILL_RAD = 20, 1e-13
 # Tolerance in the energy norm. The change between small and finite strain itself has an error of
 # second order in the slopes of the bending, 1e-4 and more.
@@ -38,7 +37,7 @@ class FloatingModel(ReducedModel):
 
     @cached_property
     def _motions(self) -> tuple[Array, Array, Array]:
-        """Positions from the centre (nodes, 3), M times the rigid motions (n_local, 6), their
+        """Positions from the centre (nodes, 3), M times the rigid motions (n_local, 6), and their
         sums."""
         solid = self.body
         motions = solid.rigid_motions()

@@ -21,8 +21,7 @@ from petsc4py import PETSc
 from ..arrays import Array
 from ..errors import ComputationError
 
-# Largest number of entries in a factor. A leaning bristle keeps three factors, which then take 8
-# GB.
+# Entries of the largest factor. A leaning bristle keeps three, which then take 8 GB.
 LARGEST_FACTOR = 330_000_000
 # Entries in a factor by nested dissection of a compact body, over n^(4/3) for n unknowns (measured
 # on cubes of second order under MUMPS; the exponent is George's, SIAM J. Numer. Anal. 10, 1973).
@@ -49,8 +48,7 @@ class Solver(StrEnum):
 
 
 def choose(solver: Solver, unknowns: int, layers: int, order: int) -> Solver:
-    """The solver for a body of ``unknowns`` on ``layers`` of nodes along its axis, never
-    ``AUTO``."""
+    """The solver, never ``AUTO``, for ``unknowns`` on ``layers`` of nodes along the axis."""
     if solver is not Solver.AUTO:
         return solver
     compact = COMPACT * unknowns ** (4.0 / 3.0)

@@ -72,8 +72,8 @@ class Basis:
         return summed(self.solid.comm, self.vectors.T @ images)
 
     def extend(self, vectors: Array) -> Array:
-        """Add the part of ``vectors`` (n_local, m) outside the basis; returns M times the new
-        vectors.
+        """Add the part of ``vectors`` (n_local, m) outside the basis; returns M times the
+        additions.
 
         Orthogonalises twice: of nearly dependent vectors mostly rounding remains the first time.
         """
@@ -128,11 +128,9 @@ class ReducedModel:
         return np.asarray(self.turn.T @ summed(self.body.comm, self.vectors.T @ load))
 
     def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
-        """As `solver.drop.FlightFrame`: small motion is relative to the pose at the start of
-        contact.
+        """As `solver.drop.FlightFrame`: small motion is relative to the pose in contact.
 
-        The strained part is the closest in energy, so a flight never has more strain energy than
-        the body.
+        The strained part is the closest in energy, so a flight never has more of it than the body.
         """
         still = np.where(self.modal.omega2 > 0.0, 0.0, self.to_modal(u))
         strained = self.flexibility * self.seen(self.body.stiffness(u))

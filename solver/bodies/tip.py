@@ -24,8 +24,7 @@ from .base import ContactPoints
 
 SAME_POINT_M = 1e-9
 ALIGNED = 1e-9
-# Singular values of a change of traction below this share of the largest are omitted from a
-# tangent.
+# A tangent omits singular values of the traction's change below this share of the largest.
 FAINT = 1e-6
 
 Index = NDArray[np.int64]
@@ -156,8 +155,7 @@ def tip_rules(space: fem.FunctionSpace, facets: NDArray[np.int32], points: int) 
 
 
 def _square_rule(along: int, across: int) -> tuple[Array, Array]:
-    """Gauss-Lobatto rule on the unit square, with ``along`` and ``across`` points along its
-    axes."""
+    """Gauss-Lobatto rule on the unit square: ``along`` by ``across`` points."""
     (p, wp), (q, wq) = gauss_lobatto(along), gauss_lobatto(across)
     points = 0.5 * (np.stack(np.meshgrid(p, q, indexing="ij"), -1).reshape(-1, 2) + 1.0)
     return points, 0.25 * np.outer(wp, wq).ravel()
@@ -185,8 +183,7 @@ def _on_cell(domain: mesh.Mesh, local: int, points: Array) -> tuple[Array, Array
 
 
 def _divisions(domain: mesh.Mesh, own: int, degree: int, points: int) -> list[tuple[int, ...]]:
-    """Number of divisions of each triangle's sides, such that the face's nodes are among the
-    corners."""
+    """Number of divisions of each triangle's sides that puts the face's nodes among the corners."""
     across = np.sqrt(0.5 * domain.comm.allreduce(own))
     wanted = int(np.ceil((points - 1) / max(across, 1.0) - 1e-9))
     return [(max(degree, -(-wanted // degree) * degree),)] * own
@@ -368,7 +365,7 @@ class TipTractions:
         return self._at_points("viscous")
 
     def pushed(self, force: Array) -> Array:
-        """Loads (n_local,) that do the same work on a motion as ``force`` (n, 3) on its change of
+        """Loads (n_local,): their work on a motion is that of ``force`` (n, 3) on its change of
         traction."""
         tip = self._tip
         own = tip.measure.area_m2 * tip.shares[:, None] * force[tip.index]

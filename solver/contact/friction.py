@@ -25,8 +25,8 @@ TINY = 1e-300
 
 @inlined
 def tangential_stiffness(points: Points, i: int) -> float:
-    """Stiffness of point ``i``'s tangential spring in series with Nitsche's compliance; infinite if
-    both are rigid."""
+    """Point ``i``'s tangential spring in series with Nitsche's compliance; infinite if both are
+    rigid."""
     stiffness = points.scale[i] * points.kt
     return 1.0 / (1.0 / stiffness + points.compliance) if points.compliance > 0.0 else stiffness
 

@@ -130,9 +130,8 @@ class Damped(Linear):
 class Stiffening(ContactLaw):
     """Force = Kn δref (δ/δref)^p: grows faster than the penetration δ, without loss.
 
-    p = 1 is `Linear`, 3/2 Hertz's sphere (J. reine angew. Math. 92, 1882); asperities that touch
-    one after another have up to about 3. Kn is the secant stiffness at the penetration
-    ``reference_m``.
+    p = 1 is `Linear`, 3/2 Hertz's sphere (J. reine angew. Math. 92, 1882). Asperities touched one
+    after another reach about 3. Kn is the secant stiffness at the penetration ``reference_m``.
     """
 
     kn_N_m: float

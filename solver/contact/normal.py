@@ -23,8 +23,7 @@ from ..arrays import Array
 from ..compiled import inlined, njit
 from .points import CONSERVING, Kind, Points, Trial
 
-# Memory of a point that adhesion holds. For one step only: a point held without limit, and one that
-# must let go.
+# Memory of a point held by adhesion; for one step, of one held without limit or sure to let go.
 HELD, HELD_FAST, LETTING_GO = 1.0, 2.0, 3.0
 SCALAR_LIMIT = 200
 # Over changes smaller than this share of the approach the mean force is that of the middle.
@@ -65,8 +64,7 @@ def _stiffening(
     depth = approach
     force = size * (depth / reference) ** exponent
     if compliance > 0.0:
-        # the function is convex and the start is above the root, so Newton's method does not
-        # overshoot
+        # convex and from above, so Newton's method does not overshoot
         for _ in range(SCALAR_LIMIT):
             change = (depth + compliance * force - approach) / (
                 1.0 + compliance * exponent * force / depth
@@ -122,8 +120,7 @@ def _plastic(
 
 @njit
 def _until_yield(law: Array, scale: float, indented: float) -> tuple[float, float, float]:
-    """Stiffness before and beyond yield in N/m, and the approach in m from the indentation to
-    yield."""
+    """Stiffness before and beyond yield in N/m, and the approach in m from indentation to yield."""
     kn, hardening = scale * law[0], law[2]
     stiffness = law[3] * kn if indented > 0.0 else kn
     slope = hardening * kn
@@ -134,8 +131,7 @@ def _until_yield(law: Array, scale: float, indented: float) -> tuple[float, floa
 def _adhesive(
     law: Array, scale: float, approach: float, compliance: float, held: float
 ) -> tuple[float, float, float]:
-    """Spring that also pulls, up to its limit, where the point is held; the potential is that of
-    unloading."""
+    """Spring that also pulls, up to its limit, while it is held; potential as on the way out."""
     stiffness, most = scale * law[0], law[1]
     if approach <= 0.0 and held == 0.0:
         return 0.0, 0.0, 0.0

@@ -122,11 +122,10 @@ def changed(
 
 
 class Trial(NamedTuple):
-    """Arrays (n, 3) of one step: the approach at the ``start``, at the end without contact
-    forces (``free``) and with them (``end``), the ``force`` over the step per area share, and
-    the augmented Lagrangian's ``multiplier``. ``memory`` is the state: the elongation in m of
-    friction's springs along both tangents, then the law's internal variable, zero if it has
-    none."""
+    """Arrays (n, 3) of one step: the approach at the ``start``, at the end without contact forces
+    (``free``) and with them (``end``), the ``force`` over the step per area share, and the
+    augmented Lagrangian's ``multiplier``. ``memory`` is the state: the elongation in m of
+    friction's springs along both tangents, then the law's internal variable (zero if none)."""
 
     start: Array
     free: Array

@@ -1,8 +1,7 @@
 """Newton's method for the contact forces of a step, in the coordinates of the end section.
 
 The points' approach depends on few coordinates z of the section. These respond to the points'
-forces by a compliance C: z = C g(f(z)), with g the forces gathered along the rows that move the
-points.
+forces by a compliance C: z = C g(f(z)), with g the forces gathered along the rows of the points.
 """
 
 from __future__ import annotations
@@ -28,9 +27,8 @@ SHORTEST = 0.1
 JUMPING, EASED, STRAIGHT = 50, 0.3, 0.75
 # Without friction the line search reduces the energy's slope along a step to this share.
 NEARLY, BISECTIONS = 0.1, 40
-# The inverse of Newton's matrix is updated where an iteration leaves more than `SLOW` of the
-# residual. With at most `FEW` coordinates, as of a rigid section, the system is solved anew each
-# time.
+# The inverse of Newton's matrix is updated if an iteration leaves more than `SLOW` of the residual.
+# Up to `FEW` coordinates, as of a rigid section, are solved for anew each time.
 SLOW, FEW = 0.2, 8
 
 

@@ -215,8 +215,7 @@ def spring_energy(points: Points, memory: Array) -> float:
 
 @njit
 def let_go(points: Points, memory: Array) -> float:
-    """Release friction's springs at the end of a touch; returns the energy that they stored, in J,
-    which is lost."""
+    """Release friction's springs at the end of a touch; returns the energy lost with them, in J."""
     held = spring_energy(points, memory)
     memory[:, :2] = 0.0
     return held

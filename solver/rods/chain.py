@@ -16,12 +16,11 @@ from .section import RodSection
 
 
 class Chain(NamedTuple):
-    """One rod: ``length`` (e,) in m of its elements, their ``stiffness`` (e, 6) and strains at
+    """One rod: ``length`` (e,) in m of its elements, their ``stiffness`` (e, 6) and strains
     ``rest``.
 
     Strains are those of `element.measure`. Inertia is lumped at the nodes: ``mass`` (e + 1,) in kg
-    and ``inertia`` (e + 1, 3) in kg m² about the section's axes. ``beta`` and ``alpha`` are
-    Rayleigh's damping.
+    and ``inertia`` (e + 1, 3) in kg m² about the section's axes. Damping is Rayleigh's.
     """
 
     length: Array

@@ -62,8 +62,7 @@ class Obstacle(NamedTuple):
 
 
 def obstacle_of(ground: Ground | None, section: RodSection) -> Obstacle:
-    """The surface as contact law of one section: Kn is shared equally among the points of its
-    rim."""
+    """The surface as contact law of one section: its rim points share Kn equally."""
     there = ground is not None
     ground = ground or Ground()
     rim = np.ascontiguousarray(section.rim_m)
@@ -157,8 +156,7 @@ def height(surface: Obstacle, place: Array) -> float:
 
 @njit
 def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> tuple[float, float]:
-    """Gap in m at a place (3,) along the surface's normal, and the local factor of the contact
-    stiffness.
+    """Gap in m at a place (3,) along the surface's normal, and the factor of the contact stiffness.
 
     Writes the ``normal`` (3,) and the factor's gradient ``grows`` (3,) per m. Over a relief the gap
     is that to the tangent plane below the place.
@@ -192,9 +190,8 @@ def lowest(surface: Obstacle, section: SectionPose) -> float:
 
 
 class Springs(NamedTuple):
-    """The springs of a point: stiffness ``kn`` and ``kt`` in N/m, the ``gap`` in m over a plane
-    of ``normal`` (3,), and ``pull`` (3,) in m, the tangential spring's elongation if the point
-    stuck."""
+    """The springs of a point: stiffness ``kn`` and ``kt`` in N/m, the ``gap`` in m over a plane of
+    ``normal`` (3,), and ``pull`` (3,) in m, the tangential elongation if the point stuck."""
 
     kn: float
     kt: float
@@ -210,8 +207,7 @@ def touch_point(
     """Contact force and new state of a point below a plane.
 
     Writes the force ``push`` (3,) in N and ``stiff`` (3, 3), minus its derivative by the point's
-    displacement. Returns the energy dissipated by friction over the step and that stored in contact
-    at its end, in J.
+    displacement. Returns friction's loss over the step and contact's energy at its end, in J.
     """
     (kn, kt, gap, n, pull), before, now = springs, step.before, step.now
     mu = coefficient(law, before.speed[node, k])
@@ -244,8 +240,8 @@ def touch_point(
 
 @njit
 def lose_hold(step: TouchStep, node: int, k: int) -> float:
-    """Set a point free at the end of the step; returns the energy in J of its tangential spring,
-    which is lost to friction."""
+    """Set a point free at the end of the step; returns its tangential spring's energy in J, now
+    lost."""
     square = 0.0
     for c in range(3):
         square += step.before.elongation[node, k, c] ** 2

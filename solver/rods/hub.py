@@ -30,8 +30,9 @@ class Clamps:
         points away from the hub
     length_m : (n,), free length of each bristle
 
-    Raises ------ InputError : shapes differ, a matrix is not a rotation, or a length is not
-    positive
+    Raises
+    ------
+    InputError : shapes differ, a matrix is not a rotation, or a length is not positive
     """
 
     position_m: Array
@@ -130,12 +131,12 @@ class HubPath:
 
     @classmethod
     def table(cls, t_s: Array, pose: Array) -> Self:
-        """A motion through rows of a table: ``t_s`` (m,), position in m and rotation vector in rad
-        (m, 6).
+        """A motion through rows of a table: times ``t_s`` (m,), positions and rotation vectors (m,
+        6).
 
         The interpolation is modified Akima (scipy's ``makima``): its first derivative is
         continuous, and a hub at rest over three rows does not overshoot. The hub rests before the
-        first row and after the last.
+        first row and after the last. Units are m and rad.
 
         Raises
         ------

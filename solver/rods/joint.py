@@ -48,21 +48,19 @@ from .step import (
     shortfall,
 )
 
-# Limits of Newton iterations per step, for a lone rod and for several; a step that needs more is
-# halved. In a dense cup 5 % of the steps of two rods need more than 24, and most of those do not
-# converge in 40.
+# Limits of Newton iterations of a lone rod and of several; a step that needs more is halved. In a
+# dense cup 5 % of two rods' steps need more than 24, most of which do not converge in 40.
 ITERATION_LIMIT, LIMIT_OF_SEVERAL = 40, 24
 # In the first `EARLY` iterations a point that stuck before the step has the tangent of sticking. A
 # first guess that slides may still come to stick. The tangent of sliding has no resistance, and
 # Newton's method would throw the section off the surface.
 EARLY = 3
-# After `PATIENT` iterations a Newton step that does not reduce the residual is halved, down to
-# `SHORTEST_PART`.
+# After `PATIENT` iterations a Newton step that does not help is halved, to `SHORTEST_PART` at
+# least.
 PATIENT, SHORTEST_PART = 6, 0.1
 # Number of trials to find the part of a step that just closes a contact.
 SHORTER = 12
-# What a rod does next: nothing, since its cluster is in equilibrium; a Newton step; or half of its
-# last one back.
+# What a rod does next: nothing, in equilibrium; a Newton step; or half of its last one back.
 RESTS, GOES, RETURNS = range(3)
 # After `FEW` iterations a cluster also stops at `FAIR` times the tolerance, a tenth of the error
 # allowed in a step: its force jumps where a contact passes from one face to another.
@@ -97,9 +95,9 @@ class Group(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """State of Newton's method per rod: its cluster, what it does next, its cluster's residual over
-    the tolerance (greatest, contacts included), the last such residual from which it took a step,
-    the part of that step that it took, and the part that it should take."""
+    """State of Newton's method per rod: its cluster, what it does next, its cluster's greatest
+    residual over the tolerance, the last such residual from which it took a step, the part of that
+    step that it took, and the part that it should take."""
 
     cluster: Integers
     doing: Integers
@@ -272,8 +270,8 @@ def _load(points: Points, p: int, side: int, loads: Array, j: int) -> None:
 
 @njit
 def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: Array) -> None:
-    """Write the displacement (3,) of one side of a point relative to the other, from column ``j``
-    of its rod's (n, 6, m)."""
+    """Write a point's displacement (3,) on one side over the other's, from column ``j`` of (n, 6,
+    m)."""
     sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
     for c in range(3):
         a, b = (c + 1) % 3, (c + 2) % 3
@@ -287,8 +285,7 @@ def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: 
 
 @njit
 def _grouped(owner: Integers, many: int) -> tuple[Integers, Integers]:
-    """A stable order that sorts entries by ``owner``, and where those of each owner begin (many +
-    1,)."""
+    """A stable order that sorts entries by ``owner``, and where each owner's begin (many + 1,)."""
     begins, order = np.zeros(many + 1, np.int64), np.empty(len(owner), np.int64)
     for each in owner:
         begins[each] += 1
@@ -333,8 +330,8 @@ def _links(room: Room, count: int) -> Links:
 
 @njit
 def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
-    """A rod's part (nodes, 6, m) of all columns: one for its residual and three for each side of a
-    point."""
+    """A rod's part (nodes, 6, m) of all columns: one for its residual, three for each point's
+    side."""
     first, last = k + 3 * begins[k], k + 1 + 3 * begins[k + 1]
     return columns[6 * nodes * first : 6 * nodes * last].reshape(nodes, 6, -1)
 
@@ -344,7 +341,10 @@ def _respond(
     brush: Brush, group: Group, h: float, room: Room, links: Links, k: int, moved: Array
 ) -> bool:
     """Write the response (n, 6, m) of the k-th rod to its residual and to unit forces at its
-    points; False if its matrix is singular."""
+    points.
+
+    Returns False if its matrix is singular.
+    """
     chain, scratch = nth(brush.rods.chain, group.members[k]), nth(room.scratches, k)
     system, first = scratch.system, links.begins[k]
     assemble_tangent(chain, damping_rate(brush.law, chain, h), system, scratch.elements)
@@ -359,8 +359,7 @@ def _respond(
 
 @within
 def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) -> bool:
-    """Solve for Newton's step of every rod that takes one, and save where it is; False if a matrix
-    is singular.
+    """Solve for Newton's step of every rod that takes one, and save where it is; False if singular.
 
     Unknowns are the forces at the points, three each, sorted by cluster.
     """
@@ -414,8 +413,7 @@ def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) 
 
 @within
 def _superpose(moved: Array, sides: Integers, forces: Array, solution: Array) -> None:
-    """Write a rod's Newton step (n, 6): its response to the residual plus those to the points'
-    forces."""
+    """Write a rod's Newton step (n, 6): its responses to the residual and to the points' forces."""
     for i in range(len(moved)):
         for r in range(6):
             solution[i, r] = moved[i, r, 0]
@@ -464,11 +462,11 @@ def _point_forces(values: Array, places: Integers, right: Array, begins: Integer
 
 @within
 def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
-    """Move each rod by its Newton step, shortened so that new contacts just close; rods that return
-    take half a step back.
+    """Move each rod by its Newton step, or by the part that just closes new contacts, or half a
+    step back.
 
-    Otherwise a rod that bends far would penetrate a stiff surface deeply and be thrown out again,
-    for ever.
+    Otherwise a rod that bends far would penetrate a stiff surface deeply and be thrown out, for
+    ever.
     """
     law, rods = brush.law, len(group.members)
     cluster, doing, worst, last, part, short = room.progress

@@ -22,14 +22,13 @@ from .observe import greatest_stress
 from .rotation import write_matrix
 from .tally import Windows, add_step
 
-# Bounds on the change of a step, the share of the allowed error that it aims at, and the multiple
-# beyond which it is repeated.
+# Bounds on the change of a step, the share of the allowed error aimed at, and that which repeats
+# it.
 LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
 SHORTEST_S = 1e-9
 # A step is repeated up to where contact begins or ends, if that is before this share of it.
 NEARLY = 0.9
-# The repeated step goes beyond the crossing by `BEYOND`, and is at least this share of the first
-# one.
+# The repeated step passes the crossing by `BEYOND`, and is at least `LEAST_SHARE` of the first.
 BEYOND, LEAST_SHARE = 1.02, 0.02
 # From this iteration count on steps do not grow.
 MANY = 8
@@ -63,15 +62,14 @@ def next_end(hub: Hub, t_s: float, end_s: float) -> float:
 
 @njit
 def equal_part(left_s: float, wanted_s: float) -> float:
-    """The longest step in s, at most the wanted one, that divides the time left into equal
-    parts."""
+    """The longest step in s, at most the wanted one, that divides the time left equally."""
     return left_s / math.ceil(left_s / wanted_s * (1.0 - 1e-9))
 
 
 @njit
 def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float) -> float:
-    """Length in s of the step after one of ``h`` seconds with this error; negative if the step must
-    be repeated with that length."""
+    """Length in s of the step after one of ``h`` s; if negative, repeat that step with this
+    length."""
     change = MOST_CHANGE
     if error > 0.0:
         change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
@@ -119,8 +117,7 @@ def first_crossing(surface: Obstacle, old: Motion, new: Motion, allowed: float) 
 
 @within
 def _look_at_all(brush: Brush, group: Group, new: Motion, h: float) -> tuple[float, float]:
-    """The greatest error, and the share of the step at which the first point crosses the
-    surface."""
+    """The greatest error, and the share of the step at which a point first crosses the surface."""
     scheme, most, share = brush.law.scheme, 0.0, 1.0
     for k in range(len(group.members)):
         old, now = nth(brush.stack, group.members[k]), nth(new, k)

@@ -130,8 +130,7 @@ def fit_to_step(now: Motion, h: float) -> None:
 
 @njit
 def clamp(hub: Hub, rod: ClampedRod, t_s: float, x: Array, q: Array, velocity: Array) -> None:
-    """Write the position (3,), attitude (4,) and velocity (6,) of the clamped node at time
-    ``t_s``."""
+    """Write position (3,), attitude (4,) and velocity (6,) of the clamped node at time ``t_s``."""
     pose, turned, matrix = np.empty((2, 6)), np.empty(4), np.empty((3, 3))
     hub_coordinates(hub.breaks, hub.coefficients, t_s, pose)
     r, rate = pose[0, 3:], pose[1, 3:]

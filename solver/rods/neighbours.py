@@ -28,8 +28,7 @@ from .rotation import cross
 
 # Largest motion of a rod in a span, over the wide side.
 MOVED = 0.125
-# Margin for the motion of a node in a span: a factor on its speed and, at rest, a share of the
-# above.
+# Margin for a node's motion in a span: a factor on its speed; at rest, a share of the above.
 FASTER, KICKED = 2.0, 0.5
 # The list of pairs is made for this many times the motion expected in the next span.
 LASTS = 4.0
@@ -57,8 +56,10 @@ class Neighbours:
     It renews the list when a node has moved farther than the list allows for. Results do not depend
     on when that happens.
 
-    Parameters ---------- law : between two bristles comm : ranks that share the search; each knows
-    the positions of all bristles
+    Parameters
+    ----------
+    law : between two bristles
+    comm : ranks that share the search; each knows the positions of all bristles
     """
 
     def __init__(self, law: Between, comm: MPI.Intracomm = MPI.COMM_SELF) -> None:
@@ -79,7 +80,7 @@ class Neighbours:
         self._reach: Array = np.zeros(0)
 
     def search(self, stack: Motion, pose: HubPose, longest_s: float) -> None:
-        """Find the active pairs and the length of the next span, up to ``longest_s``;
+        """Find the active pairs and the length of the next span, at most ``longest_s``;
         collective."""
         self._placed, speeds = _in_hub(stack, pose)
         most = MOVED * 2.0 * float(self.law.half[1])
@@ -182,8 +183,8 @@ class Neighbours:
         return Group(linked.members, pairs, Touch(*(each[linked.rows] for each in self.touch)))
 
     def groups(self, rods: int) -> tuple[list[Linked], Integers]:
-        """The groups formed by the active pairs, and each rod's group (n,); a lone rod has a number
-        of its own."""
+        """The groups formed by the active pairs, and each rod's group (n,), or a number of its
+        own."""
         ends = self.pairs[:, [0, 2]]
         graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(rods, rods))
         _, of = connected_components(graph, directed=False)
@@ -222,8 +223,7 @@ def _joined(*pairs: Integers) -> Integers:
 
 @njit
 def _in_hub(stack: Motion, pose: HubPose) -> tuple[Array, Array]:
-    """Positions of nodes (rods, n, 3) in the hub's axes, and their speeds (rods, n) relative to
-    it."""
+    """Positions of nodes (rods, n, 3) in the hub's axes, and their speeds (rods, n) in it."""
     stack = unowned(stack)
     rods, nodes, _ = stack.x.shape
     placed, speeds, arm = np.empty((rods, nodes, 3)), np.empty((rods, nodes)), np.empty(3)

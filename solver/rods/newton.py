@@ -18,8 +18,7 @@ FURTHEST_RAD = 0.5
 
 @njit
 def excess(residual: Array, force: float, moment: float) -> float:
-    """The greatest force or moment on free nodes, over the tolerances ``force`` in N and ``moment``
-    in N m."""
+    """The greatest force or moment on free nodes, over the tolerances in N and N m."""
     most_force = most_moment = 0.0
     for i in range(1, len(residual)):
         for c in range(3):
@@ -37,8 +36,7 @@ def place_nodes(
 ) -> None:
     """Write the positions ``x`` (n, 3) of free nodes, from the clamp on, for given strains.
 
-    Each element has Γ of `element.measure` equal to ``stretch`` (e, 3 or more) plus ``part`` of its
-    ``change``.
+    Γ of `element.measure` is ``stretch`` (e, 3 or more) plus ``part`` of its ``change``.
     """
     middle = np.empty((3, 3))
     for e in range(len(chain.length)):

@@ -53,8 +53,7 @@ class Seen(NamedTuple):
 
 @njit
 def write_moments(chain: Chain, now: Motion, elements: Elements, moment: Array) -> None:
-    """Write the bending moments (n, 3) at a rod's nodes about the section's axes; ``elements`` is
-    work space."""
+    """Write the bending moments (n, 3) at a rod's nodes about the section's axes."""
     load_elements(chain, now.x, now.q, now.strain, 0.0, elements)
     matrix = np.empty((3, 3))
     for k in range(len(now.x)):
@@ -71,8 +70,7 @@ def write_moments(chain: Chain, now: Motion, elements: Elements, moment: Array) 
 def greatest_stress(
     law: Between, chain: Chain, now: Motion, elements: Elements, moment: Array
 ) -> float:
-    """Greatest bending stress in Pa of a rod, as `section.RodSection.bending_stress_Pa`; work space
-    as for `write_moments`."""
+    """Greatest bending stress in Pa of a rod (`section.RodSection.bending_stress_Pa`)."""
     write_moments(chain, now, elements, moment)
     thin, wide = law.half
     most = 0.0

@@ -133,8 +133,7 @@ class Points(NamedTuple):
     ``whole`` (m, 4) are rod and element of either side, ``share`` (m, 2, 2) the weights of the
     first and second node in each, ``arm`` (m, 2, 3) the vectors from the centre lines, which turn
     with the elements' middles. ``push`` (m, 3) is the force on the first side, ``stiff`` (m, 3, 3)
-    minus its derivative by the first side's displacement relative to the second's. ``gaps`` is (p,
-    2).
+    minus its derivative by that side's displacement over the other's. ``gaps`` is (p, 2).
     """
 
     whole: Integers
@@ -464,8 +463,7 @@ def approach(
     gaps: Array,
     closing: Array,
 ) -> None:
-    """Write each pair's least gap in m, and the range (p, 2) of speeds in m/s at which its nodes
-    close it.
+    """Write each pair's least gap in m, and the range (p, 2) of its nodes' closing speeds in m/s.
 
     ``pairs`` is (p, 4). Nodes may move by ``reach`` (rods, n) before elements count as beside each
     other; other pairs have an infinite gap. The gap is a lower bound: sections widened by the reach

@@ -18,11 +18,10 @@ FEWEST = 4
 
 
 class Relief(NamedTuple):
-    """Heights for compiled code.
+    """Heights for compiled code, if ``there`` are any.
 
-    ``there`` says whether there are any. ``coefficients`` (ny, nx) in m are those of a periodic
-    bicubic spline on a grid of ``spacing`` m, ``factor`` (ny, nx) is the contact stiffness at each
-    node over Kn.
+    ``coefficients`` (ny, nx) in m are those of a periodic bicubic spline on a grid of ``spacing``
+    m, ``factor`` (ny, nx) is the contact stiffness at each node over Kn.
     """
 
     there: bool
@@ -37,8 +36,11 @@ class RoughPlane:
 
     Node (j, i) is at x = i spacing, y = j spacing; the tile repeats without end.
 
-    Parameters ---------- heights_m : (ny, nx), in m; 4 or more along each side spacing_m : of the
-    grid in x and y factor : (ny, nx), contact stiffness at each node over Kn
+    Parameters
+    ----------
+    heights_m : (ny, nx), in m; 4 or more along each side
+    spacing_m : of the grid in x and y
+    factor : (ny, nx), contact stiffness at each node over Kn
 
     Raises
     ------

@@ -42,8 +42,7 @@ TOLERANCE = 1e-6
 FIRST_STEP_S = 1e-5
 # No wire is straighter than this. A perfect one would be compressed instead of buckling.
 BOW_RAD = 1e-4
-# Number of instants at which a march checks in advance whether the hub takes a clamp into the
-# surface.
+# Instants at which a march checks in advance that the hub takes no clamp into the surface.
 LOOKS = 500
 # Forces are averaged over windows of time no longer than this.
 WINDOW_S = 1e-3
@@ -74,8 +73,10 @@ class Rods:
     rho_infinity : the share of a wave that remains after a step far too long for it, 0 to 1
     comm : ranks that share the bristles
 
-    Raises ------ InputError : a number is out of range, or a bristle starts below the surface or
-    inside another ComputationError : a bristle finds no equilibrium under its own weight
+    Raises
+    ------
+    InputError : a number is out of range, or a bristle starts below the surface or inside another
+    ComputationError : a bristle finds no equilibrium under its own weight
     """
 
     def __init__(
@@ -148,8 +149,10 @@ class Rods:
     def march(self, until_s: float, every_s: float) -> Iterator[Frame]:
         """Frames at multiples of ``every_s`` up to ``until_s``, after the present one; collective.
 
-        Raises ------ InputError : a number is not positive, or the hub takes a clamp below the
-        surface ComputationError : a bristle's step fails however short it is
+        Raises
+        ------
+        InputError : a number is not positive, or the hub takes a clamp below the surface
+        ComputationError : a bristle's step fails however short it is
         """
         positive("the end of the march", until_s)
         positive("the time between frames", every_s)
@@ -211,8 +214,7 @@ class Rods:
         return np.asarray(self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1))
 
     def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
-        """March the rods ``those`` (rods,), and groups that consist of them, to the end of a
-        span."""
+        """March the rods ``those`` (rods,), and groups that they form, to the end of a span."""
         now, near = self._now, self._neighbours
         assert near is not None
         groups, _ = near.groups(len(self.clamps))

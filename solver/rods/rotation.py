@@ -108,8 +108,7 @@ def normalise(q: Array) -> None:
 
 @njit
 def spin_of(vector: Array, rate: Array) -> Array:
-    """Angular velocity (3,) in fixed axes of a body whose rotation vector changes at a ``rate``
-    (3,).
+    """Angular velocity (3,) in fixed axes of a body with a rotation vector and its ``rate`` (3,).
 
     Its tangent operator: Ibrahimbegovic, Frey and Kozar, Int. J. Numer. Meth. Engng 38 (1995).
     """

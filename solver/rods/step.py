@@ -111,8 +111,7 @@ class Step(NamedTuple):
 
 @within
 def _predict(step: Step, h: float) -> None:
-    """Predict the free nodes after ``h`` seconds: rotation goes on, elements keep stretch and
-    shear."""
+    """Predict the free nodes after ``h`` seconds: they turn on, elements keep stretch and shear."""
     old, new, turn = step.old, step.new, np.empty(4)
     for i in range(1, len(new.x)):
         w, a = old.velocity[i], old.auxiliary[i]

@@ -28,9 +28,11 @@ COLUMNS, STATE = 9, 6
 class Means:
     """Means over consecutive windows of time, the first from ``begin_s`` on.
 
-    Parameters ---------- begin_s, end_s : (w,), begin and end of each window force_N, torque_Nm :
-    (w, 3), of the bristles on the hub; the torque is about the hub's origin share : (w, 3), of
-    bristles that touch the surface, stick, slip; over time and bristles
+    Parameters
+    ----------
+    begin_s, end_s : (w,), begin and end of each window
+    force_N, torque_Nm : (w, 3), of the bristles on the hub; the torque is about the hub's origin
+    share : (w, 3), of bristles that touch the surface, stick, slip; over time and bristles
     """
 
     begin_s: Array
@@ -70,8 +72,7 @@ def _write_row(hub: Hub, now: Motion, row: Array) -> None:
 
 
 class Windows(NamedTuple):
-    """Windows of the means: the first one's begin and their width in s, and sums (rods, w,
-    `COLUMNS`)."""
+    """Windows of means: the first one's begin, their width in s, and sums (rods, w, `COLUMNS`)."""
 
     begin_s: float
     width_s: float

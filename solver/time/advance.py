@@ -43,7 +43,7 @@ def newmark(
 
 @njit
 def combine(x: Array, columns: Array, amounts: Array) -> None:
-    """Add to x the ``columns`` (n, r), in Fortran order, times ``amounts`` (r,); zeros are
+    """Add the ``columns`` (n, r), in Fortran order, times ``amounts`` (r,) to x; zeros are
     skipped."""
     used = np.flatnonzero(amounts)
     k = 0

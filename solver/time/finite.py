@@ -1,5 +1,4 @@
-"""One time step of a solid at finite strain and rotation: PETSc's SNES around an exact contact
-solve.
+"""Time step of a solid at finite strain and rotation: PETSc's SNES around an exact contact solve.
 
 The increment d of a step solves the balance of momentum at mid-step (solver.forms). SNES looks for
 the fixed point d = G(d). G linearises the body with a tangent factored some steps ago, and solves
@@ -194,10 +193,9 @@ class FiniteMarcher(ContactMarch):
         )
 
     def linear_response(self, now: Moving, d: Array, constant: Array, force: Array) -> Array:
-        """The increment of the body linearised at ``d``, under the contact forces that belong to
-        it.
+        """The increment of the body linearised at ``d``, with the contact forces that belong to it.
 
-        ``force`` (n, 3), along the local frames, holds the forces of the last iterate and is
+        ``force`` (n, 3), along the local frames, holds the last iterate's forces and is
         overwritten.
         """
         self._set(now.u, now.v, d)
@@ -266,8 +264,7 @@ class Iteration:
     """SNES' iteration for one step's increment with the present tangent.
 
     ``image`` is G of the last argument and ``force`` its contact forces. ``change`` is the relative
-    difference between image and argument, ``force_change`` that between the forces and the last
-    ones.
+    difference between image and argument, ``force_change`` that between successive forces.
     """
 
     def __init__(self, march: FiniteMarcher, now: Moving, constant: Array, force: Array) -> None:

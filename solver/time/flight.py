@@ -28,8 +28,7 @@ class Energies(NamedTuple):
 
 class Sky(NamedTuple):
     """What flights of a body share: ``gravity``, quadratic ``drag`` over mass (1/m), the
-    ``slowest`` mode's period, and the time ``soon`` within which a touch is reached by time
-    steps."""
+    ``slowest`` mode's period, and the time ``soon`` within which time steps lead to a touch."""
 
     gravity: float
     drag: float
@@ -78,8 +77,7 @@ def fly(
 ) -> Flown:
     """The flight after a release over the planes ``normals`` (n, 3) · x = ``offsets`` (n,).
 
-    With more energy than ``most_J`` it is not followed, since it might have no next touch that a
-    search could find.
+    With more energy than ``most_J`` it is not followed: it might have no next touch to be found.
     """
     motion = launch(flyer, start, sky.gravity, sky.drag)
     if not energies(motion, 0.0).total <= most_J:

@@ -76,12 +76,11 @@ class Step(NamedTuple):
 
 
 class ContactMarch:
-    """Common part of all time steppers in contact with the ground at a constant time step
-    ``its_s``.
+    """What all time steppers in contact with the ground at a constant ``its_s`` share.
 
     ``place`` sets the body's pose and the ground. Initially it stands upright on a horizontal
-    plane, unstrained, its points just touching. The contact force on the body is Qᵀ (w P) with P
-    the force per area share.
+    plane, unstrained, its points just touching. The contact force is Qᵀ (w P) with P that per area
+    share.
     """
 
     state_type: ClassVar[type] = Moving
@@ -122,16 +121,15 @@ class ContactMarch:
 
     @property
     def rigid_multiplier(self) -> bool:
-        """Whether contact is a multiplier on a rigid plane: it stores no energy, and its approach
-        is zero."""
+        """Whether contact is a multiplier on a rigid plane, with no energy and an approach of
+        zero."""
         return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
     def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Self:
         """The same stepper, with the same placement, under another law and friction.
 
         Both share the body's factor and compliance, so closing one closes both. Raises ValueError
-        if Nitsche's compliance τ would differ: unless γ₀ is given, it has another value on a rigid
-        plane.
+        if Nitsche's compliance τ would differ: the default γ₀ has another value on a rigid plane.
         """
         method = replace(
             self.method, law=law, friction=self.method.friction if friction is None else friction
@@ -244,8 +242,8 @@ class ContactMarch:
         raise NotImplementedError
 
     def damping_loss_J(self, before: Any, after: Any, force: Array) -> float:
-        """Energy dissipated by Rayleigh damping in a step with the contact ``force`` (n, 3), in
-        J."""
+        """Energy in J dissipated by Rayleigh damping in a step with the contact ``force`` (n,
+        3)."""
         raise NotImplementedError
 
     def memory(self) -> dict[str, Array]:
@@ -256,7 +254,7 @@ class ContactMarch:
         """Restore the data that `memory` returned."""
 
     def normal_force(self, approach: Array) -> Array:
-        """Normal forces per area share (n,) in N of the law at approaches (n, 3), with its present
+        """Normal forces per area share (n,) in N at approaches (n, 3), by the law and its
         memory."""
         memory = self.contact.memory[:, 2]
         return self.method.law.force(approach[:, 0], self.tau, self.ground.scale, memory)
@@ -444,7 +442,7 @@ class Marcher(ContactMarch):
         return strain
 
     def damping_loss_J(self, before: State, after: State, force: Array) -> float:
-        """Energy dissipated by Rayleigh damping in a step with the contact ``force`` (n, 3), in J.
+        """Energy in J dissipated by Rayleigh damping in a step with the contact ``force`` (n, 3).
 
         Computed by the scheme's midpoint rule. In Nitsche's method the damping traction moves the
         augmented gap, so the contact force does work on it. That work counts as material loss; over

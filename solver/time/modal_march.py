@@ -78,7 +78,7 @@ class Touching(NamedTuple):
 
 
 class MarchLimits(NamedTuple):
-    """End of a march: all points clear after ``wait`` s, or ``until`` s, or ``limit`` steps.
+    """End of a march: all points clear after ``wait`` s, or ``until`` s, or ``limit`` steps;
     ``history`` says whether to record it."""
 
     wait: float
@@ -185,8 +185,7 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
 def _solve(
     modes: Modes, touching: Touching, section: Section, trial: Trial, work: Work, deepest: float
 ) -> tuple[bool, bool]:
-    """Find the step's force and acceleration; returns whether they converged, and whether contact
-    acts.
+    """Find the step's force and acceleration; whether they converged, and whether contact acts.
 
     ``deepest`` is the greatest approach at its start.
     """

@@ -19,8 +19,7 @@ from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of, product, turn
 
 Complex = NDArray[np.complex128]
-# Relative split of a critically damped mode's roots, and displacement beyond a rigid one, that
-# count as rounding.
+# Relative split of a critically damped mode's roots, and rounding of displacements.
 SPLIT, ROUNDING = 1e-12, 1e-12
 
 
@@ -174,8 +173,7 @@ def _exponentials(
     elastic = np.flatnonzero(omega2 > 0.0)
     w2, c = omega2[elastic], damping[elastic]
     inside = c * c - 4.0 * w2
-    # critically damped modes have no second exponential; with split roots the error is the split
-    # squared
+    # critically damped modes have no second exponential; split roots err by the split squared
     inside = np.where(np.abs(inside) < SPLIT * c * c, SPLIT * c * c, inside)
     rings, root = inside < 0.0, np.sqrt(np.abs(inside))
     ringing = -0.5 * c[rings] + 0.5j * root[rings]

@@ -30,11 +30,9 @@ OUT_OF_SIGHT = 0.25
 # Largest ratio of a step to the last one; its bound depends on the rotation meanwhile.
 LONGER = 8.0
 ROOT_STEPS = 100
-# Rise of a maximum between two samples that a search may miss, and numbers of first samples and of
-# refinements.
+# Rise of a maximum between samples that may be missed; numbers of first samples and refinements.
 APEX_SAG_M, LOOKS, REFINEMENTS = 1e-7, 8, 8
-# Samples come in `BLOCKS` blocks of `LANES`; the rotation within a block is a quadratic in time to
-# θ³/27.
+# `BLOCKS` blocks of `LANES` samples; rotation within a block is a quadratic in time to θ³/27.
 BLOCKS, LANES, TURN_RAD = 8, 32, 0.01
 # Sampling starts after `CROWDED` steps shorter than `SHORT` times the spacing of samples.
 CROWDED, SHORT = 3, 4.0
@@ -56,7 +54,7 @@ class Look(NamedTuple):
 
 @njit
 def start_clock(motion: Motion) -> Array:
-    """Time, attitude (4,) and spin (3,) of the latest look, from which the next continues the
+    """Time, attitude (4,) and spin (3,) of the latest look, where the next continues the
     rotation."""
     clock = np.zeros(8)
     clock[1:5], clock[5:] = motion.attitude, motion.spin
@@ -272,8 +270,7 @@ def _root(
 ) -> float:
     """Time at which the lowest clearance falls through zero about [left, right], or infinity.
 
-    Bracketed Newton's method. The look that saw the fall may have omitted vibration, so the bracket
-    may have to be widened.
+    Bracketed Newton's method; the bracket is widened if the look that saw the fall was inaccurate.
     """
     furthest, at, bracketed = right + (right - left), right, False
     for _ in range(ROOT_STEPS):
@@ -300,7 +297,7 @@ def _root(
 def after_release(
     motion: Motion, normals: Array, offsets: Array, slowest: float
 ) -> tuple[float, bool]:
-    """Time to the next touch, or a time by which it must have come, and whether the impact has then
+    """Time to the next touch, or one by which it must have come; and whether the impact has then
     ended.
 
     It has ended if the centre of mass has turned to fall. If the centre was falling already, the
@@ -395,8 +392,7 @@ def apex(motion: Motion, until: float) -> tuple[float, float]:
 
 @njit
 def _rigid_height(motion: Motion, clock: Array, t: float) -> Array:
-    """The world's vertical in body axes and the height of the centre of mass, then their rates (2,
-    4)."""
+    """The vertical in body axes and the height of the centre of mass, then their rates (2, 4)."""
     flyer, out = motion.flyer, np.empty((2, 4))
     attitude, spin = free_rotation(clock[1:5], clock[5:], flyer.inertia, flyer.alpha, clock[0], t)
     clock[0], clock[1:5], clock[5:] = t, attitude, spin
@@ -410,8 +406,7 @@ def _rigid_height(motion: Motion, clock: Array, t: float) -> Array:
 
 @njit
 def _sampled(motion: Motion, clock: Array, t: float, lasts: float) -> tuple[float, float]:
-    """The greatest height of the tip's middle at `BLOCKS` times `LANES` instants from ``t`` on, and
-    its time.
+    """The tip's greatest height at `BLOCKS` times `LANES` instants from ``t`` on, and its time.
 
     An exponential at an instant is its value at the block's start times that of the time since, so
     a matrix product gives them all. Within a block the attitude is a quadratic in time.
