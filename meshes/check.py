@@ -131,11 +131,11 @@ def require_one_part(where: str, cells: Cells) -> None:
 
 
 def quadrature_m3(where: str, cells: Cells, degree: int) -> tuple[Array, Array]:
-    """Volume (cells, q) in m³ at each point of the Gauss rule of a ``degree``, and the points
-    (cells, q, 3).
+    """Volume (cells, q) in m³ at each point of the Gauss rule of a ``degree``; the points (cells,
+    q, 3).
 
-    Raises MeshError, which names ``where``, if a cell is inverted, at these points or between them
-    (gmsh's bound).
+    MeshError, which names ``where``, if a cell is inverted, at these or between them (gmsh's
+    bound).
     """
     points, weights = gmsh.model.mesh.getIntegrationPoints(cells.gmsh_type, f"Gauss{degree}")
     # gmsh's rules on tetrahedra have twelve digits

@@ -82,8 +82,7 @@ class Parting:
     def together(self, error: object) -> bool:
         """Whether all ranks end now, this one with an ``error`` or None.
 
-        A rank that fails waits `GRACE_S` for the others. If it leaves without them, they are
-        notified.
+        A rank that fails waits `GRACE_S` for the others. If it leaves without them, they are told.
         """
         if self._comm is None:
             return True

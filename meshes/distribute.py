@@ -105,8 +105,7 @@ def coordinate_element(mesh: Mesh) -> basix.finite_element.FiniteElement:
 
 
 def volume_m3(mesh: Mesh) -> float:
-    """Return the volume of all ranks' cells, m³; collective. Needs no form, and so no
-    compilation."""
+    """Return the volume of all ranks' cells, m³; collective. Needs no form to be compiled."""
     element = coordinate_element(mesh)
     degree = determinant_degree(element.degree)
     points, weights = basix.make_quadrature(element.cell_type, degree)

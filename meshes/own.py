@@ -103,8 +103,7 @@ class OwnMesh:
     def straight(self) -> bool:
         """Whether an impact on the tip from below loads the body along its axis alone.
 
-        That is so if its axes are principal, its centre is above that of the tip, and the tip is
-        flat.
+        It does if the axes are principal, the centre is above the tip's, and the tip is flat.
         """
         small = STRAIGHT * max(self.tip_section.thickness_m, self.tip_section.width_m)
         beside = np.abs(self.centre_m - self.tip_centre_m)[:2].max()

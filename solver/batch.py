@@ -93,8 +93,7 @@ class Drops:
         return self.chosen(which)
 
     def chosen(self, which: NDArray[np.bool_], points: NDArray[np.int64] | None = None) -> Drops:
-        """The drops ``which`` (drops,) with all their points, or with the ``points`` of these
-        numbers."""
+        """The drops ``which`` (drops,) with all their points, or with these ``points`` only."""
         some = np.arange(self.scale.shape[1]) if points is None else points
         return Drops(
             self.height_m[which],
@@ -110,8 +109,8 @@ class Drops:
         )
 
     def confined_to(self, part: SymmetricPart) -> NDArray[np.bool_]:
-        """Which drops (drops,) load a section along a ``part``'s axes alone, and equally within its
-        groups."""
+        """Which drops (drops,) load a section along a ``part``'s axes alone, and its groups
+        equally."""
         across = [axis for axis in (0, 1) if axis not in part.axes]
         tilts = np.stack([self.tilt_deg, self.tilt_wide_deg], axis=1)
         still = (tilts[:, across] == 0.0).all(axis=1)
@@ -144,7 +143,7 @@ class Drops:
 
 
 class Outcome(NamedTuple):
-    """Result of one drop, or arrays of results: names and units as in `drop.DropResult` and its
+    """Result of one drop, or arrays of results: names and units of `drop.DropResult` and its
     energy.
 
     Losses are those up to the last release of the first impact, as with `DropPlan.impact_only`: the
@@ -289,8 +288,7 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
 
 
 def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float) -> Outcome:
-    """As `drop_many`, at the ITS ``its_s`` or, drop by drop, the longest share of it that
-    converges.
+    """As `drop_many`, at the ITS ``its_s`` or, for each drop, the longest share that converges.
 
     The result is NaN if none does, or if a bristle falls over, stays in contact, or slides for
     longer than one that bounces is in contact.

@@ -94,8 +94,7 @@ def _digest(arrays: Mapping[str, Array]) -> str:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays with their digest to a temporary file, sync, then rename it to ``path``;
-    OSError."""
+    """Write arrays with their digest to a temporary file, sync, rename it to ``path``; OSError."""
     arrays = {**arrays, DIGEST: np.array(_digest(arrays))}
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=PART)

@@ -243,8 +243,7 @@ class ClampedSolid:
     # --- the march --------------------------------------------------------------------------------
 
     def step(self, h_s: float) -> None:
-        """Advance by one step; collective. ComputationError if Newton's method does not
-        converge."""
+        """Advance by one step; collective. ComputationError if Newton's method fails."""
         self.t_s += h_s
         velocity, acceleration, _ = self._rates(np.zeros_like(self._u), h_s)
         own_values(self._rest, (acceleration + self._alpha.value * velocity).ravel())
@@ -371,8 +370,7 @@ class ClampedSolid:
         self._mass = form(density * ufl.inner(trial, test) * dx)
 
     def _make_contact(self, ground: Ground | None, parts: int) -> None:
-        """Make the contact nodes of the end face's wide edges, ``parts`` intervals each, and
-        springs."""
+        """Make contact nodes and springs on the end face's wide edges, ``parts`` intervals each."""
         section = RodSection.of(self.bristle)
         x, y, s = self._local.T
         near = 1e-6 * section.half_thin_m

@@ -245,8 +245,7 @@ def observe(marcher: ContactMarch, state: Moving, step_force: Array, history: Hi
 
 
 def instant_force(marcher: ContactMarch, state: Moving, step_force: Array) -> Array:
-    """Normal force per area share (n,) at a step's end; its mean on a rigid plane or with a
-    dashpot."""
+    """Normal force per area share (n,) at a step's end; the mean for rigid planes and dashpots."""
     if marcher.rigid_multiplier or marcher.contact.points.dashpot != 0.0:
         return step_force[:, 0]
     return marcher.normal_force(state.approach)

@@ -54,8 +54,8 @@ class FlightFrame(Protocol):
         ...
 
     def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
-        """The body's own displacement and velocity from modal ones; ComputationError if there are
-        none."""
+        """The body's own displacement and velocity from modal ones; ComputationError if none
+        fit."""
         ...
 
     def energy_J(self, u: Array, v: Array) -> float:
@@ -381,8 +381,7 @@ def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> f
 
     A spin counts by its energy. Bodies are compared by the motion after the impact and by the speed
     of the centre of mass throughout it, since a single number may agree by chance. Differences
-    between ever finer bodies are extrapolated as a geometric series with the last ratio, at most
-    `LARGEST_RATIO`.
+    between ever finer bodies are extrapolated geometrically, with at most `LARGEST_RATIO`.
     """
     if not isinstance(frame, ModalFrame) or not frame.coarser or math.isnan(found.contact_time_s):
         return None

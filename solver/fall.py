@@ -35,9 +35,9 @@ def dragged_fall(
 ) -> tuple[float, float]:
     """Time and speed of a fall through ``height_m`` with a downward initial speed.
 
-    ``drag_1_m`` is quadratic drag over mass. An upward start rises first. The speed follows v' = g
-    - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k. Raises ComputationError if
-    the initial speed exceeds v_∞.
+    ``drag_1_m`` is quadratic drag over mass. An upward start rises first. The speed follows
+    v' = g - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k. Raises
+    ComputationError if the initial speed exceeds v_∞.
     """
     g, k, v0 = gravity_m_s2, drag_1_m, speed_m_s
     speed = math.sqrt(_end_speed2(height_m, g, v0, k))

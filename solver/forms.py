@@ -1,11 +1,11 @@
 """UFL forms of a solid in contact with a plane: strain, stress, inertia, damping, contact.
 
-A step of length h adds the increment d to the displacement u and changes the velocity v to 2 d/h -
-v. The balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992). It conserves
-linear and angular momentum, and without damping also energy. At ``finite`` strain the stress is
-that of St. Venant and Kirchhoff, S = C : E with the Green-Lagrange strain E. It is carried by the
-deformation gradient F = 1 + grad u at mid-step. At small strain F = 1 and E = sym grad u: linear
-elasticity. Damping is Rayleigh's: αM, and the stress β C : dE/dt.
+A step of length h adds the increment d to the displacement u and changes the velocity v to
+2 d/h - v. The balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992). It
+conserves linear and angular momentum, and without damping also energy. At ``finite`` strain the
+stress is that of St. Venant and Kirchhoff, S = C : E with the Green-Lagrange strain E. It is
+carried by the deformation gradient F = 1 + grad u at mid-step. At small strain F = 1 and
+E = sym grad u: linear elasticity. Damping is Rayleigh's: αM, and the stress β C : dE/dt.
 
 Contact is an integral over the tip's facets (`StepForms.contact`). Its augmented gap, τ t - x less
 the plane, and its symbols are those of solver.contact.enforcement.
@@ -205,8 +205,7 @@ class StepForms:
         return body.deformation(self.middle) * viscous * self.normal
 
     def mean_traction(self) -> Expr:
-        """Mean of the elastic tractions at both ends of the step, plus the viscous one at
-        mid-step."""
+        """Mean elastic traction of both ends of the step, plus the viscous one at mid-step."""
         body, end = self.elasticity, self.u + self.d
         elastic = 0.5 * (body.traction(self.u, self.normal) + body.traction(end, self.normal))
         return elastic + self.viscous_traction()

@@ -261,8 +261,7 @@ class FieldWriter:
         self.times_s.append(t_s)
 
     def _set_ground(self) -> Array:
-        """Write the ground that the body touches; returns the world's origin, the place of
-        contact."""
+        """Write the ground that the body touches; returns the place of contact, the origin."""
         origin, normal = self._placement.nearest(self.solid.contact)
         half = GROUND_REACH * self._height_m
         if self.comm.rank == 0:

@@ -7,13 +7,13 @@ the linear one is
 
     ½ Σ E A Δz ((e + q)² - e²),    e = u',  q = ½ (w_x'² + w_y'²).
 
-Damping by β acts on the rate of that strain. Beyond the linear body it dissipates β Σ E A Δz ((ė +
-q̇)² - ė²), which is nothing in an axis that shortens as it bends freely.
+Damping by β acts on the rate of that strain. Beyond the linear body it dissipates
+β Σ E A Δz ((ė + q̇)² - ė²), which is nothing in an axis that shortens as it bends freely.
 
 A loss factor η damps modes, so it cannot act on strains at points. The strained part of u is u less
 the axis' static response to the strain -q, which is -K⁻¹ Eᵀ b with E the rows of e and b = EAΔz q.
-The loss factor damps its rate by the matrix C, which is η ω in modes. With R = E K⁻¹ C and H = R
-K⁻¹ Eᵀ it dissipates 2 (R u̇) · ḃ + ḃ · H ḃ beyond the linear body.
+The loss factor damps its rate by the matrix C, which is η ω in modes. With R = E K⁻¹ C and
+H = R K⁻¹ Eᵀ it dissipates 2 (R u̇) · ḃ + ḃ · H ḃ beyond the linear body.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ from ..compiled import njit
 @dataclass(frozen=True)
 class Axis:
     """Rows over a body's unknowns at points of its axis: axial ``strain``, ``slope_x`` and
-    ``slope_y`` (g, dofs), and ``weights_N_m`` (g,), E A times the length that each point
-    represents."""
+    ``slope_y`` (g, dofs), and ``weights_N_m`` (g,), E A times each point's share of the length."""
 
     strain: Array
     slope_x: Array
@@ -78,8 +77,8 @@ def shortening(
 
 @njit
 def _lossy(axis: Shortening, before: Array, after: Array, its: float) -> tuple[Array, Array]:
-    """Strain of the axis by bending over a step, in N m (g,), and the axial force in N m (g,) of
-    the loss factor."""
+    """Strain of the axis by bending over a step, and the axial force of the loss factor, in N m
+    (g,)."""
     g = len(axis.weights)
     bent = np.zeros(g)
     if len(before) == 3 * g:

@@ -73,7 +73,7 @@ def beam_matrices(
 def beam_contact(
     bristle: Bristle, n_elements: int, *, face: bool, points: int = CONTACT_POINTS
 ) -> ContactPoints:
-    """Contact points of the end section: ``points`` across each side (``face``), or one on the
+    """Contact points of the end section: ``points`` across each side (``face``), or one, on the
     axis."""
     section, material = bristle.section, bristle.material
     if face:
@@ -137,8 +137,7 @@ def beam_body(
     """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen).
 
     It touches with ``points`` across each side of its end section (``face``), or, as in the paper,
-    with the node on the axis. For ``second_order`` see bodies.axis, for ``lateral_inertia``
-    `beam_matrices`.
+    with the node on the axis. See bodies.axis for ``second_order``, `beam_matrices` for the rest.
     """
     mass, stiffness = beam_matrices(bristle, n_elements, lateral_inertia)
     rigid = rigid_motions(bristle, n_elements)

@@ -37,7 +37,7 @@ class FloatingModel(ReducedModel):
 
     @cached_property
     def _motions(self) -> tuple[Array, Array, Array]:
-        """Positions from the centre (nodes, 3), M times the rigid motions (n_local, 6), and their
+        """Positions from the centre (nodes, 3), M times the rigid motions (n_local, 6), and the
         sums."""
         solid = self.body
         motions = solid.rigid_motions()

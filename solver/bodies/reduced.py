@@ -1,12 +1,11 @@
 """Reduced model of the solid: Krylov vectors from its contact loads, in nested sets.
 
-The first vectors are the solid's responses to loads on its tip. Each further one is the response (K
-+ s M)⁻¹ M of an earlier one (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984). The
+The first vectors are the solid's responses to loads on its tip. Each further one is the response
+(K + s M)⁻¹ M of an earlier one (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984). The
 shift s is that of the time scheme's effective matrix, so after a rigid fall the full-order solution
 stays in exactly this space. An upright bristle is loaded by a pressure alone. A leaning one is
-loaded by forces and moments about all axes and then vibrates in bending, far below s. Its Krylov
-space is therefore rational (Ruhe, Linear Algebra Appl. 58, 1984), with shifts down to the slowest
-bending.
+loaded by forces and moments about all axes and then vibrates in bending, far below s. Its space is
+therefore rational (Ruhe, Linear Algebra Appl. 58, 1984), with shifts down to the slowest bending.
 """
 
 from __future__ import annotations
@@ -72,8 +71,7 @@ class Basis:
         return summed(self.solid.comm, self.vectors.T @ images)
 
     def extend(self, vectors: Array) -> Array:
-        """Add the part of ``vectors`` (n_local, m) outside the basis; returns M times the
-        additions.
+        """Add the part of ``vectors`` (n_local, m) outside the basis; returns M times that part.
 
         Orthogonalises twice: of nearly dependent vectors mostly rounding remains the first time.
         """

@@ -365,8 +365,7 @@ class TipTractions:
         return self._at_points("viscous")
 
     def pushed(self, force: Array) -> Array:
-        """Loads (n_local,): their work on a motion is that of ``force`` (n, 3) on its change of
-        traction."""
+        """Loads (n_local,) with the work of ``force`` (n, 3) on a motion's change of traction."""
         tip = self._tip
         own = tip.measure.area_m2 * tip.shares[:, None] * force[tip.index]
         self._load.array[:] = 0.0

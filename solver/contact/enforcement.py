@@ -61,8 +61,8 @@ def inverse_constant_N_m(body: Body) -> float:
     """The smallest C with Σ w t̂(u)² ≤ C uᵀ K u for every motion u of the body.
 
     It is the largest eigenvalue of T K⁻¹ Tᵀ weighted by w. Rigid motions make K singular but have
-    no traction. So K is shifted by a little of M, far below the tip's frequency, which hardly
-    changes C.
+    no traction. So K is shifted by a little M, far below the tip's frequency, which hardly changes
+    C.
     """
     points = body.contact
     rows = dense_of(points.traction)

@@ -25,8 +25,7 @@ TINY = 1e-300
 
 @inlined
 def tangential_stiffness(points: Points, i: int) -> float:
-    """Point ``i``'s tangential spring in series with Nitsche's compliance; infinite if both are
-    rigid."""
+    """Point ``i``'s tangential spring in series with Nitsche's compliance; infinite if both are."""
     stiffness = points.scale[i] * points.kt
     return 1.0 / (1.0 / stiffness + points.compliance) if points.compliance > 0.0 else stiffness
 

@@ -33,10 +33,11 @@ class ContactLaw:
     A law is a dataclass. Its fields are its parameters, ``kn_N_m`` first, and its `Kind` computes
     with them (docs/effects.md shows how to write one). ``force`` is per unit of area share: the
     total force if the whole face were like this point. ``approach`` (m) is the penetration that the
-    point would have without the compliance ``compliance_m_N``: penetration = approach - compliance
-    × force. So one law serves penalty (no compliance), Nitsche (its stabilisation) and the
-    augmented Lagrangian (1/r). ``scale`` (n,) is each point's stiffness over the law's. ``memory``
-    (n,) is the internal variable of a law that has one, zero before the first touch.
+    point would have without the compliance ``compliance_m_N``: penetration =
+    approach - compliance × force. So one law serves penalty (no compliance), Nitsche (its
+    stabilisation) and the augmented Lagrangian (1/r). ``scale`` (n,) is each point's stiffness over
+    the law's. ``memory`` (n,) is the internal variable of a law that has one, zero before the first
+    touch.
     """
 
     # The law's reference stiffness in N/m; infinite on a rigid plane.

@@ -10,8 +10,7 @@ from .base import TOUCHING, Effect, Parameter, Place, Scene
 
 
 def _with_law(scene: Scene, law: laws.ContactLaw) -> Scene:
-    """The scene with ``law``; InputError if it already has one from an effect, since contact has
-    one law."""
+    """The scene with ``law``; InputError if an effect has set one already: contact has one law."""
     if type(scene.law) is not laws.Linear:
         raise InputError(
             "two of the effects change the contact law; take one of them", inputs=("effects",)

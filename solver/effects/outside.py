@@ -66,8 +66,7 @@ def forgotten_afterwards() -> Iterator[None]:
 
 
 def load(path: Path, source: bytes) -> ModuleType:
-    """Import a Python file and register its effects; ValueError if one is refused, or it does not
-    run."""
+    """Import a Python file and register its effects; ValueError if it fails or one is refused."""
     digest, path = hashlib.sha256(source).hexdigest(), path.resolve()
     module = f"{MODULE}{digest[:16]}"
     found = sys.modules.get(module) or _executed(source, path, module)
@@ -108,8 +107,7 @@ def load_installed() -> None:
 
 
 def taken_in(effect: Effect) -> Effect:
-    """An effect made in Python, with its class registered. Raises InputError if the class is
-    refused."""
+    """An effect made in Python, its class registered; InputError if the class is refused."""
     kind = type(effect)
     if EFFECTS.get(kind.name) is not kind:
         register(kind, f"{kind.__module__}.{kind.__qualname__} {id(kind)}")

@@ -16,8 +16,8 @@ from .section import RodSection
 
 
 class Chain(NamedTuple):
-    """One rod: ``length`` (e,) in m of its elements, their ``stiffness`` (e, 6) and strains
-    ``rest``.
+    """One rod: ``length`` (e,) in m of its elements, their ``stiffness`` (e, 6) and ``rest``
+    strains.
 
     Strains are those of `element.measure`. Inertia is lumped at the nodes: ``mass`` (e + 1,) in kg
     and ``inertia`` (e + 1, 3) in kg m² about the section's axes. Damping is Rayleigh's.

@@ -240,7 +240,7 @@ def touch_point(
 
 @njit
 def lose_hold(step: TouchStep, node: int, k: int) -> float:
-    """Set a point free at the end of the step; returns its tangential spring's energy in J, now
+    """Set a point free at the end of the step; returns the energy of its tangential spring, now
     lost."""
     square = 0.0
     for c in range(3):

@@ -243,9 +243,9 @@ def _in_world(matrix: Array, own: Array, factor: float, begin: int, out: Array) 
 def _tangent(chain: Chain, e: int, rate: float, system: System, elements: Elements) -> None:
     """Add an element's tangent to its nodes' diagonal blocks, and write the off-diagonal ones.
 
-    Everything is in world axes; changes are relative to the middle, which turns by w. With d = x₂ -
-    x₁, the force N on the second node, the stiffness C_N of stretch and shear, and V = [N]× - [d]×
-    C_N,
+    Everything is in world axes; changes are relative to the middle, which turns by w. With
+    d = x₂ - x₁, the force N on the second node, the stiffness C_N of stretch and shear, and
+    V = [N]× - [d]× C_N,
 
         dN = C_N dd + Vᵀ w,    d(N × d) = V (dd + d × w),    w = (½ + [g]×) a + (½ - [g]×) b,
 

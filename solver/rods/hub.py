@@ -136,7 +136,7 @@ class HubPath:
 
         The interpolation is modified Akima (scipy's ``makima``): its first derivative is
         continuous, and a hub at rest over three rows does not overshoot. The hub rests before the
-        first row and after the last. Units are m and rad.
+        first row and after the last. ``pose`` is in m and rad.
 
         Raises
         ------

@@ -55,8 +55,7 @@ ITERATION_LIMIT, LIMIT_OF_SEVERAL = 40, 24
 # first guess that slides may still come to stick. The tangent of sliding has no resistance, and
 # Newton's method would throw the section off the surface.
 EARLY = 3
-# After `PATIENT` iterations a Newton step that does not help is halved, to `SHORTEST_PART` at
-# least.
+# After `PATIENT` iterations a Newton step that does not help is halved, down to `SHORTEST_PART`.
 PATIENT, SHORTEST_PART = 6, 0.1
 # Number of trials to find the part of a step that just closes a contact.
 SHORTER = 12
@@ -270,8 +269,7 @@ def _load(points: Points, p: int, side: int, loads: Array, j: int) -> None:
 
 @njit
 def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: Array) -> None:
-    """Write a point's displacement (3,) on one side over the other's, from column ``j`` of (n, 6,
-    m)."""
+    """Write a point's displacement (3,) on one side over the other's, from column ``j`` on."""
     sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
     for c in range(3):
         a, b = (c + 1) % 3, (c + 2) % 3
@@ -330,8 +328,7 @@ def _links(room: Room, count: int) -> Links:
 
 @njit
 def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
-    """A rod's part (nodes, 6, m) of all columns: one for its residual, three for each point's
-    side."""
+    """A rod's part (nodes, 6, m) of all columns: one for its residual, three for each side."""
     first, last = k + 3 * begins[k], k + 1 + 3 * begins[k + 1]
     return columns[6 * nodes * first : 6 * nodes * last].reshape(nodes, 6, -1)
 
@@ -340,8 +337,7 @@ def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
 def _respond(
     brush: Brush, group: Group, h: float, room: Room, links: Links, k: int, moved: Array
 ) -> bool:
-    """Write the response (n, 6, m) of the k-th rod to its residual and to unit forces at its
-    points.
+    """Write the k-th rod's response (n, 6, m) to its residual and to unit forces at its points.
 
     Returns False if its matrix is singular.
     """
@@ -462,11 +458,9 @@ def _point_forces(values: Array, places: Integers, right: Array, begins: Integer
 
 @within
 def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
-    """Move each rod by its Newton step, or by the part that just closes new contacts, or half a
-    step back.
+    """Move each rod by its Newton step, by the part that just closes contacts, or half a step back.
 
-    Otherwise a rod that bends far would penetrate a stiff surface deeply and be thrown out, for
-    ever.
+    Otherwise a rod that bends far would penetrate a stiff surface and be thrown out, for ever.
     """
     law, rods = brush.law, len(group.members)
     cluster, doing, worst, last, part, short = room.progress

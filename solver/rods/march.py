@@ -22,8 +22,7 @@ from .observe import greatest_stress
 from .rotation import write_matrix
 from .tally import Windows, add_step
 
-# Bounds on the change of a step, the share of the allowed error aimed at, and that which repeats
-# it.
+# Bounds on a step's change, its aim as a share of the allowed error, and the share that repeats it.
 LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
 SHORTEST_S = 1e-9
 # A step is repeated up to where contact begins or ends, if that is before this share of it.
@@ -68,8 +67,7 @@ def equal_part(left_s: float, wanted_s: float) -> float:
 
 @njit
 def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float) -> float:
-    """Length in s of the step after one of ``h`` s; if negative, repeat that step with this
-    length."""
+    """Next length in s after a step of ``h`` s; negative if that step must be repeated with it."""
     change = MOST_CHANGE
     if error > 0.0:
         change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)

@@ -80,8 +80,7 @@ class Neighbours:
         self._reach: Array = np.zeros(0)
 
     def search(self, stack: Motion, pose: HubPose, longest_s: float) -> None:
-        """Find the active pairs and the length of the next span, at most ``longest_s``;
-        collective."""
+        """Find the active pairs and the next span's length, at most ``longest_s``; collective."""
         self._placed, speeds = _in_hub(stack, pose)
         most = MOVED * 2.0 * float(self.law.half[1])
         self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
@@ -160,8 +159,7 @@ class Neighbours:
         self._listed = room[:count]
 
     def _approach(self, stack: Motion) -> tuple[Array, Array]:
-        """Gaps (p,) of all pairs on the list, and their least and greatest closing speeds (2,
-        p)."""
+        """Gaps (p,) of all pairs on the list, and the range (2, p) of their closing speeds."""
         gaps, closing = np.empty(len(self._possible)), np.empty((len(self._possible), 2))
         approach(self.law, self._possible, stack, self._reach, self._room, gaps, closing)
         return gaps, closing.T
@@ -183,8 +181,7 @@ class Neighbours:
         return Group(linked.members, pairs, Touch(*(each[linked.rows] for each in self.touch)))
 
     def groups(self, rods: int) -> tuple[list[Linked], Integers]:
-        """The groups formed by the active pairs, and each rod's group (n,), or a number of its
-        own."""
+        """The groups that active pairs form, and each rod's group (n,), or a number of its own."""
         ends = self.pairs[:, [0, 2]]
         graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(rods, rods))
         _, of = connected_components(graph, directed=False)

@@ -502,8 +502,8 @@ def approach(
 
 @njit
 def axes_apart(x_a: Array, e: int, x_b: Array, f: int) -> float:
-    """Distance in m of two elements' axes (Ericson, Real-Time Collision Detection, 2005, Sec.
-    5.1.9)."""
+    """Distance in m of two elements' axes (Ericson, Real-Time Collision Detection, 2005,
+    §5.1.9)."""
     aa = ab = bb = ac = bc = 0.0
     for k in range(3):
         a, b = x_a[e + 1, k] - x_a[e, k], x_b[f + 1, k] - x_b[f, k]

@@ -43,8 +43,7 @@ def newmark(
 
 @njit
 def combine(x: Array, columns: Array, amounts: Array) -> None:
-    """Add the ``columns`` (n, r), in Fortran order, times ``amounts`` (r,) to x; zeros are
-    skipped."""
+    """Add ``columns`` (n, r), in Fortran order, times ``amounts`` (r,) to x; zeros are skipped."""
     used = np.flatnonzero(amounts)
     k = 0
     while k + 4 <= len(used):

@@ -195,7 +195,7 @@ class FiniteMarcher(ContactMarch):
     def linear_response(self, now: Moving, d: Array, constant: Array, force: Array) -> Array:
         """The increment of the body linearised at ``d``, with the contact forces that belong to it.
 
-        ``force`` (n, 3), along the local frames, holds the last iterate's forces and is
+        ``force`` (n, 3), along the local frames, holds the last iterate's forces; it is
         overwritten.
         """
         self._set(now.u, now.v, d)

@@ -55,8 +55,7 @@ def _product(weights: Array, one: Array, other: Array) -> float:
 
 @njit
 def remember(secants: Secants, move: Array, change: Array) -> None:
-    """Store that ``move`` (n,) changed the residual by ``change`` (n,), replacing the oldest
-    secant."""
+    """Store that ``move`` (n,) changed the residual by ``change`` (n,), over the oldest secant."""
     at = secants.total[0] % MOST_SECANTS
     secants.total[0] += 1
     secants.moves[at] = move

@@ -79,8 +79,7 @@ class ContactMarch:
     """What all time steppers in contact with the ground at a constant ``its_s`` share.
 
     ``place`` sets the body's pose and the ground. Initially it stands upright on a horizontal
-    plane, unstrained, its points just touching. The contact force is Qᵀ (w P) with P that per area
-    share.
+    plane, unstrained, just touching. The contact force is Qᵀ (w P) with P the force per area share.
     """
 
     state_type: ClassVar[type] = Moving
@@ -121,8 +120,7 @@ class ContactMarch:
 
     @property
     def rigid_multiplier(self) -> bool:
-        """Whether contact is a multiplier on a rigid plane, with no energy and an approach of
-        zero."""
+        """Whether contact is a multiplier on a rigid plane: no energy, and zero approach."""
         return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
     def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Self:
@@ -242,8 +240,7 @@ class ContactMarch:
         raise NotImplementedError
 
     def damping_loss_J(self, before: Any, after: Any, force: Array) -> float:
-        """Energy in J dissipated by Rayleigh damping in a step with the contact ``force`` (n,
-        3)."""
+        """Energy in J lost to Rayleigh damping in a step with the contact ``force`` (n, 3)."""
         raise NotImplementedError
 
     def memory(self) -> dict[str, Array]:
@@ -254,7 +251,7 @@ class ContactMarch:
         """Restore the data that `memory` returned."""
 
     def normal_force(self, approach: Array) -> Array:
-        """Normal forces per area share (n,) in N at approaches (n, 3), by the law and its
+        """The law's normal forces per area share (n,) in N at approaches (n, 3), with its
         memory."""
         memory = self.contact.memory[:, 2]
         return self.method.law.force(approach[:, 0], self.tau, self.ground.scale, memory)
@@ -442,7 +439,7 @@ class Marcher(ContactMarch):
         return strain
 
     def damping_loss_J(self, before: State, after: State, force: Array) -> float:
-        """Energy in J dissipated by Rayleigh damping in a step with the contact ``force`` (n, 3).
+        """Energy in J lost to Rayleigh damping in a step with the contact ``force`` (n, 3).
 
         Computed by the scheme's midpoint rule. In Nitsche's method the damping traction moves the
         augmented gap, so the contact force does work on it. That work counts as material loss; over

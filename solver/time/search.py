@@ -54,8 +54,7 @@ class Look(NamedTuple):
 
 @njit
 def start_clock(motion: Motion) -> Array:
-    """Time, attitude (4,) and spin (3,) of the latest look, where the next continues the
-    rotation."""
+    """Time, attitude (4,) and spin (3,) of the latest look, where the next one starts."""
     clock = np.zeros(8)
     clock[1:5], clock[5:] = motion.attitude, motion.spin
     return clock
@@ -297,12 +296,12 @@ def _root(
 def after_release(
     motion: Motion, normals: Array, offsets: Array, slowest: float
 ) -> tuple[float, bool]:
-    """Time to the next touch, or one by which it must have come; and whether the impact has then
-    ended.
+    """Time to the next touch, or one by which it must have come; and whether the impact is over
+    then.
 
-    It has ended if the centre of mass has turned to fall. If the centre was falling already, the
-    body must have stayed clear for one period of its ``slowest`` mode. A tip that vibrates down
-    while the centre still rises belongs to the same impact.
+    It is over if the centre of mass has turned to fall. If the centre was falling already, the body
+    must have stayed clear for one period of its ``slowest`` mode. A tip that vibrates down while
+    the centre still rises belongs to the same impact.
     """
     gravity, rising, points = motion.gravity, motion.velocity[2], motion.flyer.points
     ringing = (motion.loud * points.reach).sum()
