@@ -33,7 +33,7 @@ SEEN = {
     "one in several of the order": "one in several of the data is off",
     "settling in the order": "the first of the data are off, and the later ones less and less",
     "runs": "values measured one after another lie on the same side of the model",
-    "two states": "some of the data are off by one amount, and the others are not",
+    "two states": "the data fall into two groups, and each is off by its own amount",
     "shared within a group": "what was read of one drop is off together",
     "any function of ": "what the model leaves changes with {}",
     WIDER_NOISE: "the data lie farther from the model than their errors allow",
