@@ -81,7 +81,8 @@ def _end_speed2(
 
 
 def risen(height_m: Array | float, drag_1_m: Array | float) -> Array:
-    """Height that a body reaches with drag ``drag_1_m`` over mass, and without drag ``height_m``.
+    """Height that a body reaches with drag ``drag_1_m`` over mass, if without drag it would reach
+    ``height_m``.
 
     Arrays broadcast.
     """

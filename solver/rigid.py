@@ -1,4 +1,4 @@
-"""Poses of a body in space, and the free rotation of a rigid body, exactly.
+"""Poses of a body in space, and the free rotation of a rigid body, to rounding.
 
 A pose maps body axes (x thin side, y wide side, z along the bristle, origin in the centre of mass)
 to the world's (z up). Attitudes are unit quaternions (w, x, y, z); angular velocities are in body

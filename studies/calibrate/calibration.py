@@ -276,4 +276,4 @@ def _to_separate(source: Drops | None) -> str:
     """How to tell apart what changes y1/y0."""
     if source is None or (source.contact_time_s is None and source.peak_force_N is None):
         return "Measure contact time or force as well to separate them."
-    return "`bristle close-loop` also uses the contact times and forces, which separate them."
+    return "`bristle close-loop` also uses these columns, which separate most of them."

@@ -403,7 +403,7 @@ def spread_of(left: Array, phase: NDArray[np.int64], numbers: int) -> tuple[floa
         shared.append(float(np.mean(left[lag:][together] * left[:-lag][together])))
     taken, alike = 0.0, 1.0
     for _ in range(4):
-        rho = [(each + taken) / (square + taken) for each in shared] or [UNSEEN]
+        rho = [(each + taken) / max(square + taken, TINY) for each in shared] or [UNSEEN]
         first = float(np.clip(rho[0], 0.0, 0.9))
         two = [a + b for a, b in zip(rho[1::2], rho[2::2], strict=False)]
         several = sum(takewhile(lambda each: each > math.sqrt(2.0 / len(left)), two))

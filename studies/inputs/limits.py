@@ -413,5 +413,5 @@ def slowest_bending_1_s(bristle: Bristle) -> float:
 
 def round_down(value: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is not above ``value``."""
-    decade = 10.0 ** math.floor(math.log10(value))
+    decade = 10.0 ** math.floor(math.log10(value) + 1e-9)
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= value * (1 + 1e-9))

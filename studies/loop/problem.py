@@ -127,11 +127,18 @@ class Experiment:
 @dataclass(frozen=True)
 class Entry:
     """What a table itself seems to have wrong: ``kind`` is slip, repeated or exchanged, ``drops``
-    are the numbers of the rows or of the records, ``why`` says what speaks for it."""
+    are the numbers of the rows or of the records, ``why`` says what speaks for it, ``numbers`` how
+    many numbers of each drop are wrong then."""
 
     kind: str
     drops: tuple[int, ...]
     why: str
+    numbers: int = 1
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """The drops that are wrong: of those that are repeated, the first is not."""
+        return self.drops[self.kind == "repeated" :]
 
     def words(self, one: str = "drop", several: str = "drops") -> str:
         """A sentence, in the words for what is numbered."""

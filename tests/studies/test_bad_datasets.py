@@ -115,7 +115,7 @@ BAD = {
         ({"tracks.csv": cell(5, 2, "nan")}, r"tracks\.csv:5: y_mm must be a finite"),
         ({"tracks.csv": cell(6, 1, "0.0")}, r"tracks\.csv:6: t_s must grow"),
         ({"tracks.csv": cell(40, 0, "1")}, r"tracks\.csv:40: drop must count upwards"),
-        ({"tracks.csv": lines_up_to(79)}, "3 films; the loop needs four or more"),
+        ({"tracks.csv": lines_up_to(79)}, "3 drops; the loop needs four or more"),
         ({"tracks.csv": lambda text: text + "9,0.0,1.0\n"}, "drop 9 has 1 frames; 6 or more"),
     ],
     "forces": [

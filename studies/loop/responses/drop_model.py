@@ -24,10 +24,10 @@ from .emulator import Emulator, effect_at
 from .errors import Errors
 from .mesh import Mesh, mesh_of
 
-# Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
-# slope's direction.
 # Of nodes in two dimensions, which cost its square.
 MOST_CLOSER = 3
+# Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
+# slope's direction.
 DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
 # Share of a height by which slopes over it are found.

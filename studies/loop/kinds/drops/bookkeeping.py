@@ -59,15 +59,12 @@ class Table:
     predict: Callable[[Array], Array]
 
 
-def misread(table: Table, before: float = 0) -> tuple[list[Entry], float]:
-    """What the table has wrong, by row, and how many numbers are wrong then; of repeated rows the
-    first is as it should be.
-
-    ``before`` is how many were found before in rows that are gone. Infinitely many are more than
-    people make; nothing but repeated rows is wrong then.
-    """
+def misread(table: Table, before: float = 0) -> tuple[list[Entry], bool]:
+    """What the table has wrong, by row, and whether slips are so many that none is told; of
+    repeated rows the first is as it should be. ``before`` is how many numbers were wrong in rows
+    that are gone."""
     if len(table.y0_m) < FEWEST:
-        return [], before
+        return [], False
     found = _repeated(table)
     again = [drop for entry in found for drop in entry.drops[1:]]
     smooth = Smooth.of(table)
@@ -80,19 +77,20 @@ def misread(table: Table, before: float = 0) -> tuple[list[Entry], float]:
     ]
     pairs = _exchanged(smooth, noise, suspects)
     alone = [row for row in suspects if row not in itertools.chain(*pairs)]
-    slips = {row: slip for row in alone if (slip := _slip(smooth, z, noise, row))}
-    rows = [*itertools.chain(*pairs), *slips]
-    wrong = before + 2 * len(pairs) + sum(count for _, count in slips.values())
-    read = int(np.isfinite(table.values).sum())
-    if are_too_many(wrong, read) or _in_a_pattern(table, rows):
-        return found, math.inf
     number = [int(each) for each in table.number]
-    found += [
+    slips = [
         Entry("exchanged", (number[i], number[j]), "their y1_mm would fit each other's y0_mm")
         for i, j in pairs
     ]
-    found += [Entry("slip", (number[row],), why) for row, (why, _) in slips.items()]
-    return found, wrong
+    rows = [*itertools.chain(*pairs)]
+    for row in alone:
+        if slip := _slip(smooth, z, noise, row):
+            rows.append(row)
+            slips.append(Entry("slip", (number[row],), *slip))
+    wrong = before + sum(len(each.drops) * each.numbers for each in slips)
+    if are_too_many(wrong, int(np.isfinite(table.values).sum())):
+        return found, True
+    return (found, False) if _in_a_pattern(table, rows) else (found + slips, False)
 
 
 def _in_a_pattern(table: Table, rows: list[int]) -> bool:

@@ -89,21 +89,22 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
 
     Raises InputError where it cannot be one.
     """
-    whole = every = data
-    aside, numbers = wrong, 0.0
+    whole, aside, undone = data, wrong, False
     while True:
+        every = whole.of(~np.isin(whole.drop, [n for each in aside for n in each.rows]))
         data = every.of(np.isfinite(every.y0_m))
         bare, values, notes = _bare(data)
         start = _start(bare, values, bare.errors.sigma)
-        entries, found = _misread(data, bare, start, values, numbers)
-        if found == math.inf > numbers:  # then those that are gone are not wrong either
-            every, aside, numbers = whole, wrong, math.inf
-            continue
-        if not entries:
+        slips = (each for each in aside if each.kind != "repeated")
+        numbers = math.inf if undone else sum(len(each.drops) * each.numbers for each in slips)
+        entries, too_many = _misread(data, bare, start, values, numbers)
+        if too_many and any(each.numbers > 1 for each in aside):
+            # what moves several numbers of many drops is physics
+            aside, undone = tuple(each for each in aside if each.numbers == 1), True
+        elif entries:
+            aside = (*aside, *entries)
+        else:
             break
-        aside, numbers = (*aside, *entries), found
-        rows = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
-        every = every.of(~np.isin(every.drop, rows))
     seen = _seen(bare, start, values)
     session, partings, near = sessions(data, seen.left)
     bare = replace(bare, drops=replace(bare.drops, session=session, partings=partings))
@@ -239,8 +240,8 @@ def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> 
 
 def _misread(
     data: datasets.Drops, bare: DropModel, start: Array, values: Array, before: float
-) -> tuple[list[Entry], float]:
-    """What the table has wrong, and how many numbers with those ``before``."""
+) -> tuple[list[Entry], bool]:
+    """`misread` of the data's table."""
 
     def predict(y0_m: Array) -> Array:
         others = replace(bare.drops, y0_m=y0_m, order=np.zeros(len(y0_m)))

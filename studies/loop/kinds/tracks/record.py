@@ -99,7 +99,7 @@ def read_tracks(folder: Path) -> Tracks:
         raise InputError(f"{path}: y_mm and y_px are both there; only one can be the height")
     in_pixels = "y_px" in columns
     read = read_series(path, "drop", "y_px" if in_pixels else "y_mm")
-    read.check_drops(LEAST_FRAMES, "frames", "films")
+    read.check_drops(LEAST_FRAMES, "frames")
     _frame_rate(manifest, path, read.rows[1][0], read.t_s[read.pieces[0]])
     y = read.value
     if in_pixels:
