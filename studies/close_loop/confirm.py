@@ -15,7 +15,7 @@ from ..loop.noise import Ints
 
 LEFT_OUT = "left out on request (--no-3d)"
 NOTHING_HELD = "too few groups to hold any out"
-# Times the error of the fitted model beyond which the 3-D model is of another opinion.
+# How many times larger than the fitted model's the error of the 3-D model may be without a doubt.
 FAR = 3.0
 
 

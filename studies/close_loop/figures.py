@@ -46,7 +46,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 LINE_IN, EDGES_IN = 0.2, 0.9
 FARTHEST = 1e3
-# Of so many numbers an axis has room.
+# An axis has room for so many numbers.
 MOST_LABELS = 30
 
 

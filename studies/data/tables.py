@@ -205,15 +205,15 @@ class Series(InPieces):
         """File and line where a piece begins."""
         return f"{self.path}:{self.rows[self.begins[piece]][0]}"
 
-    def check_drops(self, least: int, what: str, each: str = "drops") -> None:
+    def check_drops(self, least: int, what: str) -> None:
         """InputError where a drop has fewer rows, ``what`` they are, than ``least``, or where there
-        are fewer drops, or what ``each`` piece is, than the loop needs."""
+        are fewer drops than the loop needs."""
         for i, size in enumerate(np.diff(self.begins)):
             if size < least:
                 drop = f"{self.at(i)}: drop {self.number[self.begins[i]]}"
                 raise InputError(f"{drop} has {size} {what}; {least} or more are needed")
         if len(self.pieces) < LEAST_DROPS:
-            raise InputError(f"{self.path}: {len(self.pieces)} {each}; the loop needs four or more")
+            raise InputError(f"{self.path}: {len(self.pieces)} drops; the loop needs four or more")
 
 
 def read_series(path: Path, piece: str, value: str) -> Series:

@@ -58,7 +58,7 @@ known: a hand may hide a part of the length that tells it."""
 MOST_KEPT = 1.5
 """What share of its speed a body seems to keep at most: whole pixels hide a part of a fall."""
 LEAST_PAIRS, UNSEEN = 10, 0.3
-"""Of frames that tell how alike neighbours err, and how alike they are taken for else."""
+"""How many pairs of frames tell a correlation of their errors, and its value if fewer are there."""
 TINY = 1e-300
 """Instead of zero, where something is divided by it."""
 SPEED_PX = 0.02

@@ -266,7 +266,8 @@ def _family(
         listed.extend((f"wave in {name}", units, each) for each in several)
         size, turns = np.divmod(wave, len(waves) // 2)
         for own, most in itertools.product(np.unique(size), SEVERAL_WAVES):
-            # a cosine and a sine of each, and as many frequencies as levels: half of them at most
+            # each frequency has two functions, and as many as there are levels fit any values:
+            # these are half of them at most
             if 4 * most <= len(waves) // 2:
                 slow = np.flatnonzero((size == own) & (turns < most))
                 listed.append((f"waves in {name}", units, slow))
@@ -361,7 +362,7 @@ def _best_shape(data: Sample, z: Array, free: Array, listed: Sequence[Listed]) -
         if name.startswith("wave "):
             costs[-1] += float(np.log(waves))
     heights = data.heights_of_noise(np.array(residuals))
-    # what is taken out is no residual of zero that small noise would be likely for
+    # an amount that is taken out is no residual of zero, which would make small noise likely
     heights -= np.array(taken)[:, None] * (data.noises.peak() - norm.logpdf(0.0))
     logs = heights.max(axis=1) - np.array(costs)
     best = int(np.argmax(logs))
@@ -369,10 +370,10 @@ def _best_shape(data: Sample, z: Array, free: Array, listed: Sequence[Listed]) -
 
 
 def _cost_of(amounts: Array) -> float:
-    """What amounts (k,), in standard deviations, cost in nats that are fitted together.
+    """Cost in nats of amounts (k,), in standard deviations, that are fitted together.
 
-    `OCCAM` each, or more where they are large: what normal amounts of one size have less than the
-    likelihood of no residual. As many as there are rows then explain no more than wider noise.
+    Each costs `OCCAM`, or more if they are large: the log density of normal amounts of this size,
+    below that of a residual of zero. As many amounts as rows then explain no more than wider noise.
     """
     square = max(float(np.mean(amounts**2)), 1.0)
     return amounts.size * max(OCCAM, 0.5 * (1.0 + math.log(square)))

@@ -126,9 +126,11 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Entry:
-    """What a table itself seems to have wrong: ``kind`` is slip, repeated or exchanged, ``drops``
-    are the numbers of the rows or of the records, ``why`` says what speaks for it, ``numbers`` how
-    many numbers of each drop are wrong then."""
+    """What a table itself seems to have wrong.
+
+    ``kind`` is slip, repeated or exchanged. ``drops`` number the rows or the records. ``why`` gives
+    the reason. ``numbers`` is how many numbers of each drop seem to be wrong.
+    """
 
     kind: str
     drops: tuple[int, ...]
@@ -139,6 +141,11 @@ class Entry:
     def rows(self) -> tuple[int, ...]:
         """The drops that are wrong: of those that are repeated, the first is not."""
         return self.drops[self.kind == "repeated" :]
+
+    @property
+    def slips(self) -> int:
+        """How many numbers somebody wrote down wrongly."""
+        return 0 if self.kind == "repeated" else len(self.drops) * self.numbers
 
     def words(self, one: str = "drop", several: str = "drops") -> str:
         """A sentence, in the words for what is numbered."""

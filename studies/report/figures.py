@@ -27,7 +27,7 @@ from ..running.files import write_atomically
 
 WIDTH_IN = 5.2
 PNG_DPI = 200
-# A part of a figure that has more is an image in the SVG too, which would be megabytes else.
+# A part of a figure that has more marks becomes an image within the SVG, which stays small so.
 MOST_MARKS = 1000
 
 STYLE: dict[str, Any] = {

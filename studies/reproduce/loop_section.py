@@ -97,7 +97,7 @@ def _verdict(closed: Closed) -> dict[str, Any]:
         "unit": closed.problem.unit,
         "coverage_90": held and held.coverage_90,
         "next": proposed.change if proposed else "",
-        "doubts": "; ".join(finding.all_warnings()),
+        "doubts": "; ".join(closed.warnings),
     }
 
 

@@ -24,8 +24,8 @@ from .emulator import Emulator, effect_at
 from .errors import Errors
 from .mesh import Mesh, mesh_of
 
-# Of nodes in two dimensions, which cost its square.
-MOST_CLOSER = 3
+# How many times closer nodes in two dimensions may lie. Their number grows with its square.
+MOST_CLOSER_IN_TWO = 3
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
 DEVIATES = (-3.25, 3.25, 53)
@@ -175,7 +175,7 @@ class BounceModel:
         # nodes in two dimensions lie between each other: every third of either is enough, unless
         # one of both effects is small
         two = stiffer and slopes
-        closer, every = (min(self.closer, MOST_CLOSER), 3) if two else (self.closer, 1)
+        closer, every = (min(self.closer, MOST_CLOSER_IN_TWO), 3) if two else (self.closer, 1)
         if stiffer:
             stiff = _nodes(*DEVIATES, closer)[every // 2 :: every]
             stiff_weights = np.exp(-0.5 * stiff**2)

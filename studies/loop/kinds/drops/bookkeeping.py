@@ -60,9 +60,9 @@ class Table:
 
 
 def misread(table: Table, before: float = 0) -> tuple[list[Entry], bool]:
-    """What the table has wrong, by row, and whether slips are so many that none is told; of
-    repeated rows the first is as it should be. ``before`` is how many numbers were wrong in rows
-    that are gone."""
+    """What the table has wrong, by row, and whether there are too many slips to be slips: then none
+    is returned. Of repeated rows the first is as it should be. ``before`` is how many numbers were
+    wrong in rows that were set aside before."""
     if len(table.y0_m) < FEWEST:
         return [], False
     found = _repeated(table)
@@ -87,7 +87,7 @@ def misread(table: Table, before: float = 0) -> tuple[list[Entry], bool]:
         if slip := _slip(smooth, z, noise, row):
             rows.append(row)
             slips.append(Entry("slip", (number[row],), *slip))
-    wrong = before + sum(len(each.drops) * each.numbers for each in slips)
+    wrong = before + sum(each.slips for each in slips)
     if are_too_many(wrong, int(np.isfinite(table.values).sum())):
         return found, True
     return (found, False) if _in_a_pattern(table, rows) else (found + slips, False)
@@ -221,29 +221,32 @@ def _noise(smooth: Smooth, z: Array) -> Array:
 
 
 def _slip(smooth: Smooth, z: Array, noise: Array, row: int) -> tuple[str, int] | None:
-    """Why a row is taken for a slip, and how many of its numbers are wrong then: one, and what it
-    leaves far off. None where it is not."""
+    """Why a row is taken for a slip, and how many of its numbers are wrong: one, and those that are
+    still far off without it. None if it is no slip."""
     table, usual = smooth.table, float(noise[row].sum())
     y0_m, own = table.y0_m[row], table.values[row]
     told = [(usual + math.log1p(-SLIP - ANYTHING), "", 0)]
 
-    def add(words: str, others: float, share: Array, off: Array, left: Array) -> None:
+    def far_off(residuals: Array) -> int:
+        return int(np.sum(np.abs(residuals) > SUSPECT))
+
+    def add(words: str, others: float, share: Array, off: Array, also: int) -> None:
         logs = others + _normal(off) + np.log(SLIP * share / KINDS)
-        told.append((float(logsumexp(logs)), words, int(np.sum(np.abs(left) > SUSPECT))))
+        told.append((float(logsumexp(logs)), words, also))
 
     for q in np.flatnonzero(np.isfinite(own)):
-        left = np.delete(z[row], q)
+        also = far_off(np.delete(z[row], q))
         shown = f"{table.columns[q]} of {own[q] * table.unit[q]:.6g}"
         others = usual - float(noise[row, q])
         size = f"{shown} is {abs(z[row, q]):.2g} standard deviations off"
         anything = others + math.log(ANYTHING) + float(smooth.anywhere[row, q])
-        told.append((anything, size, int(np.sum(np.abs(left) > SUSPECT))))
+        told.append((anything, size, also))
         written, share, how = meant(float(own[q] * table.unit[q]))
         values = np.tile(own, (written.size, 1))
         values[:, q] = written / table.unit[q]
         off = smooth.off(np.full(written.size, row), np.full(written.size, y0_m), values)[:, [q]]
         best = int(np.argmax(_normal(off) + np.log(share)))
-        add(f"{shown}: {how[best]}, {written[best]:.6g} would fit", others, share, off, left)
+        add(f"{shown}: {how[best]}, {written[best]:.6g} would fit", others, share, off, also)
     written, share, how = meant(1e3 * float(y0_m))
     others_m = np.delete(table.y0_m, row)
     meant_m = 1e-3 * written
@@ -254,11 +257,11 @@ def _slip(smooth: Smooth, z: Array, noise: Array, row: int) -> tuple[str, int] |
         logs = np.where(there, _normal(off) + np.log(share), -np.inf)
         best = int(np.argmax(logs))
         words = f"y0_mm of {1e3 * y0_m:.6g}: {how[best]}, {written[best]:.6g} would fit"
-        add(words, 0.0, share[there], off[there], off[best])
+        add(words, 0.0, share[there], off[there], far_off(off[best]))
     if own[0] > 0.0:
         exchanged = np.concatenate([[y0_m], own[1:]])[None]
         off = smooth.off(np.array([row]), own[:1], exchanged)
-        add("y0_mm and y1_mm have changed places", 0.0, np.ones(1), off, off)
+        add("y0_mm and y1_mm have changed places", 0.0, np.ones(1), off, far_off(off))
     logs = log_softmax([log for log, *_ in told])
     _, words, also = told[1 + int(np.argmax(logs[1:]))]
     if -math.expm1(logs[0]) <= SURE:

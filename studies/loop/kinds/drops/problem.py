@@ -95,9 +95,8 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         data = every.of(np.isfinite(every.y0_m))
         bare, values, notes = _bare(data)
         start = _start(bare, values, bare.errors.sigma)
-        slips = (each for each in aside if each.kind != "repeated")
-        numbers = math.inf if undone else sum(len(each.drops) * each.numbers for each in slips)
-        entries, too_many = _misread(data, bare, start, values, numbers)
+        slips = math.inf if undone else sum(each.slips for each in aside)
+        entries, too_many = _misread(data, bare, start, values, slips)
         if too_many and any(each.numbers > 1 for each in aside):
             # what moves several numbers of many drops is physics
             aside, undone = tuple(each for each in aside if each.numbers == 1), True

@@ -55,9 +55,9 @@ class FallModel:
     """The reading, with effects in it; a `Model`.
 
     With ``drag_scatter`` the logarithm of the drag is normal from fall to fall, with that
-    deviation. Its nodes are evenly spaced and lie ``closer`` so many times, since a fall's own rows
-    tell its drag to a few per cent: Gauss's few would leave gaps between them. Readings at nodes
-    between those of `NODES` are interpolated. Else there is one node.
+    deviation. Its nodes are evenly spaced, ``closer`` times as close as `NODES`: a fall's own rows
+    tell its drag to a few per cent, and Gauss's few nodes would leave gaps between them. Readings
+    between `NODES` are interpolated. Without ``drag_scatter`` there is one node.
     """
 
     bins: Bins
