@@ -85,9 +85,9 @@ def confirm(finding: Finding) -> Confirmation:
     rows = np.flatnonzero(np.isin(problem.group, groups))
     base = np.array(finding.evidences[0].theta)
     try:
-        before = after = problem.confirm((), base, groups)
+        before = after = problem.confirm(problem.baseline, base, groups)
         if finding.model_effects:
-            after = problem.confirm(finding.model_effects, finding.theta, groups)
+            after = problem.confirm(finding.model, finding.theta, groups)
     except BristleError as error:
         return Confirmation(None, f"the 3-D model failed: {error}")
     main = problem.is_main[rows]

@@ -267,8 +267,8 @@ def _family(
         size, turns = np.divmod(wave, len(waves) // 2)
         for own, most in itertools.product(np.unique(size), SEVERAL_WAVES):
             # each frequency has two functions, and as many as there are levels fit any values:
-            # these are half of them at most
-            if 4 * most <= len(waves) // 2:
+            # these are three quarters of them at most, so that the rest tells what noise there is
+            if 8 * most <= 3 * (len(waves) // 2):
                 slow = np.flatnonzero((size == own) & (turns < most))
                 listed.append((f"waves in {name}", units, slow))
         mean = np.stack([(wave == wave[each[0]]) / each.size for each in several], axis=1)

@@ -28,6 +28,8 @@ from .search import Tried, fit_pairs, fit_refined
 LEFT_ALARM = 0.01
 CREDIBLE = 0.97
 LOOKED_AT, MOST_LOOKED_AT = 0.999, 8
+# Nats by which what is in a credible set may be less likely than its best.
+NEAR = -math.log(1.0 - CREDIBLE)
 # An effect is refined that explains this share of what the likeliest does.
 REFINED = 0.2
 # Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
@@ -54,7 +56,8 @@ class Explanation:
     leaves.
 
     It ``holds`` where what it leaves is noise and it pays as well. It is ``spared`` where only the
-    scores of too few held-out groups speak against it.
+    scores of too few held-out groups speak against it, or only its residuals, which count
+    ``against`` it by so many nats.
     """
 
     posterior: Posterior
@@ -64,6 +67,7 @@ class Explanation:
     holds: bool
     why_not: str
     spared: bool
+    against: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,10 @@ class State:
         gained = found.log_evidence - self.baseline.log_evidence
         return gained - self.cost * len(found.effects)
 
+    def standing(self, each: Explanation) -> float:
+        """The credence of an explanation, less what its residuals count against it."""
+        return self.credence(each.posterior) - each.against
+
 
 def effect_cost(candidates: int) -> float:
     """What every effect costs in nats. Beforehand, one of the ``candidates`` is expected to be
@@ -121,34 +129,59 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
         ]
         if any(one is not other for one, other in zip(refined, singles, strict=True)):
             looked = _looked_at(state, refined)
-    least = max(each.log_evidence for each in refined) + state.cost
+    best = max(each.log_evidence for each in refined)
+    least = best + state.cost - NEAR
     pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
-    better = [each for each in pairs if each.log_evidence > least]
+    # of two effects of which one does alone the other has to make more than up for itself
+    alone = [each.posterior for each in looked if each.holds]
+    better = [
+        each
+        for each in pairs
+        if each.log_evidence
+        > max(
+            [least, *(p.log_evidence + state.cost for p in alone if p.effects[0] in each.effects)]
+        )
+    ]
     return _with_spared(state, [*looked, *_looked_at(state, better, refined, looked)]), refined
 
 
 def _with_spared(state: State, explained: list[Explanation]) -> list[Explanation]:
-    """The same: if one holds, what was spared holds beside it, unless it is far from the likeliest
-    of all these."""
+    """The same: if one holds, what was spared holds beside it, and what only its residuals speak
+    against, unless it is far from the likeliest of all these."""
     if not any(each.holds for each in explained):
         return explained
-    running = [each.posterior for each in explained if each.holds or each.spared]
-    least = max(map(state.credence, running)) - UNLISTED_MARGIN
-    return [
-        replace(each, holds=True, why_not="")
-        if each.spared and state.credence(each.posterior) > least
-        else each
-        for each in explained
-    ]
+    least = max(state.standing(each) for each in explained if each.holds or each.spared)
+    least -= UNLISTED_MARGIN
+    out = []
+    for each in explained:
+        if not each.holds and not each.spared and state.standing(each) > least:
+            each = _but_for_residuals(state, each)
+        kept = each.spared and state.standing(each) > least
+        out.append(replace(each, holds=True, why_not="") if kept else each)
+    return out
+
+
+def _but_for_residuals(state: State, each: Explanation) -> Explanation:
+    """An explanation that is spared if only what it leaves speaks against it; else as it was."""
+    found = each.posterior
+    if not each.against or _large(state.data, each.left.residual) or _shape_beats(state, found):
+        return each
+    held, scores = None, None
+    if state.judge.held.values.size:
+        scores = state.judge.scores(found)
+        held = state.judge.judge(found, state.judge.gain(scores, state.judge.plain))
+        if _worse(found, held, np.inf) or _off(state, found, held):
+            return each
+    return replace(each, held=held, scores=scores, spared=True)
 
 
 def named(state: State, explained: Sequence[Explanation]) -> list[Explanation]:
     """The credible set of what holds for itself, and all that holds beside it; likeliest first."""
     alone = [each for each in explained if each.holds and not each.spared]
-    shares = shares_of([state.credence(each.posterior) for each in alone])
+    shares = shares_of([state.standing(each) for each in alone])
     beside = [each for each in explained if each.holds and each.spared]
     out = [*(alone[i] for i in credible(shares, CREDIBLE)), *beside]
-    return sorted(out, key=lambda each: -state.credence(each.posterior))
+    return sorted(out, key=lambda each: -state.standing(each))
 
 
 def _looked_at(
@@ -179,7 +212,8 @@ def _looked_at(
             few = len(held.groups) < LEAST_SCORED
             off = _off(state, found, held) if few or not worse else ""
             why, spared = off or worse, bool(worse) and few and not off
-        out.append(Explanation(found, assessed, held, scores, not why, why, spared))
+        against = odds_against(assessed.p_value) if assessed.p_value <= LEFT_ALARM else 0.0
+        out.append(Explanation(found, assessed, held, scores, not why, why, spared, against))
     return out
 
 
@@ -194,10 +228,22 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
         return f"what it leaves is not noise ({told})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
-    cost = state.cost * (len(found.effects) - 1)
-    if state.first.unlisted > found.log_evidence - cost + state.margin(found):
+    if _shape_beats(state, found):
         return f"a shape that no effect has explains more ({state.first.shape})"
     return ""
+
+
+def _shape_beats(state: State, found: Posterior) -> bool:
+    """Whether something unlisted is so much likelier than a model that it refuses it."""
+    cost = state.cost * (len(found.effects) - 1)
+    return state.first.unlisted > found.log_evidence - cost + state.margin(found)
+
+
+def odds_against(p_value: float) -> float:
+    """The nats that a p-value can be at most against what it is a test of (T. Sellke, M. J. Bayarri
+    and J. O. Berger, Am. Stat. 55 (2001) 62)."""
+    p = max(p_value, 1e-300)
+    return max(-1.0 - math.log(-p * math.log(p)), 0.0) if p < 1.0 / math.e else 0.0
 
 
 def _worse(found: Posterior, held: HeldOut, over: float) -> str:
@@ -260,13 +306,13 @@ def probabilities(
     as it has to be to refuse an effect. What was refused is out. Empty where nothing is left.
     """
     plain = state.baseline.log_evidence
-    holding = [each.posterior for each in explained if each.holds]
-    margin = max([UNLISTED_MARGIN, *map(state.margin, holding)])
+    holding = [each for each in explained if each.holds]
+    margin = max([UNLISTED_MARGIN, *(state.margin(each.posterior) for each in holding)])
     logs = {(): 0.0, ("?",): state.first.unlisted - plain - state.cost - margin}
     if explained:
         if not holding:
             return {}
-        logs |= {each.effects: state.credence(each) for each in holding}
+        logs |= {each.posterior.effects: state.standing(each) for each in holding}
     else:
         # the square of a normal number that has the p-value of the effect's own test
         for each in state.first.table:

@@ -9,8 +9,9 @@ logarithmic ones by their logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,6 +134,25 @@ class Fitted:
     def mean_slopes(self) -> Array:
         """Slopes of the mean (rows, p)."""
         return np.einsum("j,jrp->rp", self.model.weights, self.slopes)
+
+
+@runtime_checkable
+class Chosen(Model, Protocol):
+    """A model that was chosen by the data among several, which counts against it."""
+
+    @property
+    def choices(self) -> int:
+        """Among how many."""
+        ...
+
+    @property
+    def remarks(self) -> Mapping[str, str]:
+        """By effect what its parameters do not tell, such as where it acts."""
+        ...
+
+    def chosen(self, data: Sample, beside: Fitted) -> Model:
+        """The same, as these data choose it beside a fit of all its other effects."""
+        ...
 
 
 def differences(predict: Callable[[Array], Array], u: Array, step: Array) -> tuple[Array, Array]:

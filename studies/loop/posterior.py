@@ -20,9 +20,8 @@ from scipy.special import gammaln, logsumexp, softmax
 
 from ...solver.arrays import Array
 from .adequacy import OCCAM
-from .fit import BOX_PRECISION, Fitted, fit, others, to_theta
+from .fit import BOX_PRECISION, Chosen, Fitted, fit, others, to_theta
 from .noise import Ints, Noises
-from .problem import Chosen
 from .sample import Sample
 
 DEGREES = 5.0

@@ -95,16 +95,6 @@ class Refinable(Model, Protocol):
         ...
 
 
-@runtime_checkable
-class Chosen(Model, Protocol):
-    """A model that was chosen by the data among several, which counts against it."""
-
-    @property
-    def choices(self) -> int:
-        """Among how many."""
-        ...
-
-
 def refined_as(model: Model, parameters: int) -> Model:
     """The model, or its refinement where that is the one with so many parameters."""
     if len(model.parameters) < parameters and isinstance(model, Refinable):
@@ -165,10 +155,9 @@ class Problem:
     are looked at against: height, speed, order, phase, time. ``candidates`` are all effects, alone,
     that a dataset of this kind can carry; ``combine`` builds the model of several at once.
     ``held`` are groups to be held out; where it is None, they are chosen by the seed.
-    ``confirm``, where it is not None, gives whitened predictions of the baseline and of a fitted
-    model by the 3-D model, for the rows of the groups asked for. ``warnings`` and ``left_aside``
+    ``confirm``, where it is not None, gives whitened predictions of a model at its parameters by
+    the 3-D model, for the rows of the groups asked for. ``warnings`` and ``left_aside``
     are sentences for the user: what deserves doubt, and which of the data are not used and why.
-    ``remarks`` tell by effect what its parameters do not, such as where it acts.
     ``bookkeeping`` is what the table has wrong, whose rows are left aside: those of the groups
     ``aside`` are still among these. Where groups are ``records``, two that hold the same numbers
     are one. ``lead`` is a doubt that comes before all that is found. ``with_sigma``, where it
@@ -186,14 +175,13 @@ class Problem:
     combine: Callable[[tuple[str, ...]], Model]
     experiments: Sequence[Experiment] = ()
     held: tuple[int, ...] | None = None
-    confirm: Callable[[tuple[str, ...], Array, NDArray[np.int64]], Array] | None = None
+    confirm: Callable[[Model, Array, NDArray[np.int64]], Array] | None = None
     confirm_why: str = ""
     sigma_declared: bool = True
     main: str = ""
     notes: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     left_aside: tuple[str, ...] = ()
-    remarks: Mapping[str, str] = field(default_factory=dict)
     bookkeeping: tuple[Entry, ...] = ()
     with_sigma: Callable[[Mapping[str, float]], Problem] | None = None
     records: bool = False

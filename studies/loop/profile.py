@@ -18,8 +18,8 @@ from scipy.spatial.distance import squareform
 
 from ...solver.arrays import Array
 from .adequacy import Direction
-from .fit import STEP, Fitted, differences, to_box, to_theta
-from .problem import Chosen, Model
+from .fit import STEP, Chosen, Fitted, differences, to_box, to_theta
+from .problem import Model
 from .sample import Sample
 
 # Shares of the way from absence to a bound.

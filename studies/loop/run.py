@@ -28,8 +28,8 @@ from .explain import (
     probabilities,
     shares_of,
 )
-from .finding import Evidence, Finding, Interval, Near, Verdict
-from .fit import settle
+from .finding import Evidence, Finding, Interval, Near, Verdict, p_text
+from .fit import Chosen, settle
 from .heldout import Gain, HeldOut, Judge, rms, split
 from .noise import Ints
 from .posterior import Posterior, posterior
@@ -37,7 +37,7 @@ from .problem import Entry, Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
 from .scatter import FAR_SMALLER, Scatter
-from .search import Tried, fit_baseline, fit_candidate, fit_simulated, near_likeliest
+from .search import Tried, chosen, fit_baseline, fit_candidate, fit_simulated, near_likeliest
 from .slips import FEWEST, are_too_many, could_be_anything
 
 ALARM = 0.01
@@ -221,7 +221,7 @@ def _find(
     base = baseline.fitted
     profiles: list[Profile] = []
     for model in problem.candidates:
-        profiles.append(profile(data, base, model))
+        profiles.append(profile(data, base, chosen(data, base, model)))
         advance()
     ways = directions(data, base, profiles)
     first = assess(data, base, ways, rng)
@@ -288,7 +288,7 @@ def _find(
     return Finding(
         problem=problem,
         verdict=verdict,
-        weights=_by_effect(state, tied),
+        weights=_by_effect(state, reported),
         probabilities=probabilities(state, singles, explained),
         reported=tuple(each.effects for each in tied),
         statistic=first.statistic,
@@ -324,7 +324,7 @@ def _find(
         bookkeeping=problem.bookkeeping,
         unlike=_unlike(state, singles) if problem.records and missing and best is None else None,
         lead=problem.lead,
-        remarks=problem.remarks,
+        remarks=_remarks(tied),
         seed=seed,
         alarm=alarm,
     )
@@ -373,16 +373,22 @@ def _like_noise(problem: Problem, tied: Sequence[Posterior]) -> str:
 
 
 def _spared(reported: Sequence[Explanation]) -> str:
-    """Which named effects held-out data would have refused, had there been more, in words."""
+    """What would have refused effects that are named all the same, in words."""
     spared = [each for each in reported if each.spared]
-    if not spared:
-        return ""
-    names = ", ".join(" with ".join(each.posterior.effects) for each in spared)
-    held = ", ".join(map(str, spared[0].held.groups)) if spared[0].held else ""
-    return (
-        f"the held-out data (no. {held} alone) speak against {names}, but they are too few to "
-        "refuse an effect: measure more"
-    )
+    said = []
+    if few := [each for each in spared if not each.against]:
+        names = ", ".join(" with ".join(each.posterior.effects) for each in few)
+        held = ", ".join(map(str, few[0].held.groups)) if few[0].held else ""
+        said.append(
+            f"the held-out data (no. {held} alone) speak against {names}, but they are too few to "
+            "refuse an effect: measure more"
+        )
+    for each in spared:
+        if each.against:
+            names, left = " with ".join(each.posterior.effects), each.left
+            told = f"test for {left.statistic}: {p_text(left.p_value)}"
+            said.append(f"what {names} leaves is odd ({told}), but not by enough to refuse it")
+    return "; ".join(said)
 
 
 def _times(nats: float) -> str:
@@ -409,12 +415,21 @@ def _units(problem: Problem, data: Sample) -> Array:
     return unit[number]
 
 
-def _by_effect(state: State, tied: Sequence[Posterior]) -> dict[str, float]:
+def _remarks(tied: Sequence[Posterior]) -> dict[str, str]:
+    """By effect what its parameters do not tell, of the likeliest model that has it."""
+    out: dict[str, str] = {}
+    for each in reversed(tied):
+        model = each.fitted.model
+        out |= model.remarks if isinstance(model, Chosen) else {}
+    return out
+
+
+def _by_effect(state: State, reported: Sequence[Explanation]) -> dict[str, float]:
     """Share of an effect in what is reported: of all reported models that have it."""
     out: dict[str, float] = {}
-    weights = shares_of([state.credence(each) for each in tied])
-    for each, weight in zip(tied, weights, strict=True):
-        for name in each.effects:
+    weights = shares_of([state.standing(each) for each in reported])
+    for each, weight in zip(reported, weights, strict=True):
+        for name in each.posterior.effects:
             out[name] = out.get(name, 0.0) + float(weight)
     return out
 

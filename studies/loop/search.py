@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from ...solver.arrays import Array
 from ...solver.errors import ComputationError
 from ..running.threads import in_threads
-from .fit import Fitted, fit, settle, to_box, to_theta
+from .fit import Chosen, Fitted, fit, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Emulated, Model, Problem, Refinable, Scattering
 from .profile import Profile
@@ -143,6 +143,18 @@ def resolved(data: Sample, base: Fitted, model: Model) -> Model:
     return model.finer(min(closer, MOST_CLOSER)) if closer > 1 else model
 
 
+def chosen(data: Sample, beside: Fitted, model: Model) -> Model:
+    """The model as data choose it beside a fit of its other effects; itself where they choose
+    nothing, or the fit has that effect itself."""
+    if not isinstance(model, Chosen) or model.choices < 2 or _chooses(beside.model):
+        return model
+    return model.chosen(data, beside)
+
+
+def _chooses(model: Model) -> bool:
+    return isinstance(model, Chosen) and model.choices > 1
+
+
 def _levels(
     model: Model, own: int, others: Sequence[float], shares: Sequence[float] = LEVELS
 ) -> Array:
@@ -252,10 +264,13 @@ def fit_pairs(
         model = problem.combine(names)
         if isinstance(model, Emulated) and not model.possible:
             continue
+        for name in names:
+            model = chosen(data, alone[name].fitted, model)
         starts = _pair_starts(model, base, alone, by_name)
         starts = starts[_likeliest(few, model, starts, FEW_FOLLOWED)]
-        steps = FIRST_STEPS if np.asarray(model.weights).size == 1 else 0
-        first = fit(few, model, starts, noise, steps)
+        # of many nodes the likeliest start alone
+        several = FEW_FOLLOWED if np.asarray(model.weights).size == 1 else 1
+        first = fit(few, model, starts[:several], noise, FIRST_STEPS)
         height = of_all(evidence(first, base.u.size))
         if height + _correctable(alone, names, share) >= least - FIRST_NATS:
             begun.append((height, model, np.concatenate([first.u[None], starts])))

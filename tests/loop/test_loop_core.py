@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -154,9 +155,13 @@ class Parted(toys.Derived):
     """A toy whose field the data chose among seven."""
 
     choices: int = 7
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
     def predict(self, theta):
         return self.toy.predict(theta)
+
+    def chosen(self, data, beside):
+        return self
 
 
 def test_what_the_data_chose_shows_by_the_tests_of_shapes():

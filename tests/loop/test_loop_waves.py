@@ -531,7 +531,7 @@ def test_the_solid_bar_predicts_the_measured_passes_as_loves_rod_does(measured):
     theta, *_ = fit(damped, measured.values, fitted_rows(measured))
     passes = np.array(measured.held)
     rows = np.isin(measured.group, passes)
-    solid = measured.confirm(damped.effects, theta, passes)
+    solid = measured.confirm(damped, theta, passes)
     love = measured.combine((*damped.effects, "lateral_inertia"))
     rod = love.predict(np.append(theta, 1.0))[0, rows]
     plain = damped.predict(theta)[0, rows]

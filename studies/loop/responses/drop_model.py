@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,11 +19,13 @@ from ....solver.effects.library import EFFECTS, enter_all, in_order
 from ....solver.effects.surface import steepness_deg
 from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
-from ..fit import to_unit
+from ..fit import Fitted, to_unit
 from ..noise import Ints
+from ..sample import Sample
 from .emulator import Emulator, effect_at
 from .errors import Errors
 from .mesh import Mesh, mesh_of
+from .sessions import Partings
 
 # How many times closer nodes in two dimensions may lie. Their number grows with its square.
 MOST_CLOSER_IN_TWO = 3
@@ -32,6 +35,8 @@ DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
 # Share of a height by which slopes over it are found.
 STEP = 1e-3
+# In decades of stiffness, by which it is found what a second session does.
+SESSION_STEP = 1e-3
 # In the unit box: farther away a correction's slopes tell no more.
 TRUSTED = 0.25
 DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
@@ -40,8 +45,8 @@ DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
 @dataclass(frozen=True)
 class Drops:
     """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
-    `table.QUANTITIES`) were. ``session`` (drops,) is one in the second of two sessions, which were
-    told apart among so many ``partings``. They may be a part, by numbers, of a ``whole``, whose
+    `table.QUANTITIES`) were. ``session`` (drops,) is one in the second of two sessions, and
+    ``partings`` are the ways to part them. They may be a part, by numbers, of a ``whole``, whose
     mesh is theirs too."""
 
     emulator: Emulator
@@ -49,7 +54,7 @@ class Drops:
     order: Array
     quantities: tuple[int, ...]
     session: Array | float = 0.0
-    partings: int = 1
+    partings: Partings | None = None
     whole: tuple[Drops, Ints] | None = None
 
     def __len__(self) -> int:
@@ -132,11 +137,6 @@ class BounceModel:
         if self.refined or not any(p.refines for n in self.effects for p in EFFECTS[n].parameters):
             return None
         return replace(self, refined=True)
-
-    @property
-    def choices(self) -> int:
-        """Of how many models this one was chosen by the data: see `problem.Chosen`."""
-        return self.drops.partings if "session" in self.effects else 1
 
     @property
     def possible(self) -> bool:
@@ -311,6 +311,45 @@ class DropModel(BounceModel):
     def refinement(self) -> Self | None:
         found = super().refinement
         return found and replace(found, correction=None)
+
+    @property
+    def _partings(self) -> Partings | None:
+        return self.drops.partings if "session" in self.effects else None
+
+    @property
+    def choices(self) -> int:
+        """Among how many ways to part sessions the data chose: see `problem.Chosen`."""
+        return 1 if self._partings is None else self._partings.possible.size
+
+    @property
+    def remarks(self) -> dict[str, str]:
+        """Which drops are those of the second session."""
+        return {} if self._partings is None else {"session": self._partings.words}
+
+    def chosen(self, data: Sample, beside: Fitted) -> Self:
+        """The same with sessions parted as data ask for where ``beside`` has the other effects."""
+        partings = self._partings
+        if partings is None:
+            return self
+        assert isinstance(beside.model, BounceModel)
+        known, own = beside.model.given(beside.theta), len(self.own)
+        first = own + self._before("session")
+        null = [each.null for each in self.parameters[own:]]
+        theta = np.tile(np.concatenate([beside.theta[:own], null]), (2, 1))
+        for name, values in known.items():
+            at = own + self._before(name)
+            theta[:, at : at + len(values)] = values
+        theta[1, first] += SESSION_STEP
+        all_second = replace(self, drops=replace(self.drops, session=1.0), correction=None)
+        one, other = np.asarray(self.weights) @ data.predict(all_second, theta)
+        drop = np.nonzero(self.errors.present)[0][data.rows]
+        found = partings.parted(partings.gains(data, beside, drop, other - one))
+        return replace(self, drops=replace(self.drops, session=found.second, partings=found))
+
+    def _before(self, name: str) -> int:
+        """How many parameters effects before this one have."""
+        others = itertools.takewhile(lambda each: each != name, self.effects)
+        return sum(len(self._parameters_of(each)) for each in others)
 
     @cached_property
     def _parts(self) -> dict[bytes, Self]:

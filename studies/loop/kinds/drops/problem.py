@@ -29,11 +29,12 @@ from ....data import datasets
 from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
-from ...problem import Entry, Experiment, Problem, refined_as, undeclared
+from ...problem import Entry, Experiment, Model, Problem, undeclared
 from ...responses.drop_model import STEP, DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.errors import Errors
 from ...responses.rigid import RigidEmulator, rigid_emulator
+from ...responses.sessions import Partings
 from .bookkeeping import Table, misread
 
 KIND = "drops"
@@ -59,10 +60,6 @@ SET_APART = 2.0
 ONE_HEIGHT = 3.0
 # Numbers missing, over the usual step between them, after which another session began.
 MISSING = 10.0
-# How many drops a session has, to be told from slips: one that the table tells, and others.
-FEWEST_TOLD, FEWEST_IN_SESSION = 2, 4
-# Nats by which another beginning of the second session is hardly less likely.
-NEARLY = 2.0
 # Standard deviations by which a fitted height may differ from the one that was read.
 MOST_SHIFTED = 3.0
 SCALES = (1e3, 1e6, 1.0)
@@ -105,18 +102,21 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         else:
             break
     seen = _seen(bare, start, values)
-    session, partings, near = sessions(data, seen.left)
-    bare = replace(bare, drops=replace(bare.drops, session=session, partings=partings))
+    partings = _partings(data)
+    if partings.possible.size:
+        # until it is seen what data ask for, in the middle of what may be
+        middle = np.arange(partings.possible.size) == partings.possible.size // 2
+        partings = partings.parted(np.where(middle, 0.0, -np.inf))
+    bare = replace(bare, drops=replace(bare.drops, session=partings.second, partings=partings))
     drops, emulator, errors = bare.drops, bare.emulator, seen.errors
     number = np.broadcast_to(data.drop.astype(np.int64)[:, None], values.shape)
 
     def model(effects: Sequence[str]) -> DropModel:
         return replace(bare, effects=tuple(effects), errors=errors)
 
-    def confirm(effects: tuple[str, ...], theta: Array, groups: Ints) -> Array:
+    def confirm(found: Model, theta: Array, groups: Ints) -> Array:
         from .solid import whitened_solid
 
-        found = refined_as(model(effects), theta.size)
         assert isinstance(found, DropModel)
         return whitened_solid(found, theta, groups, number[:, 0])
 
@@ -140,7 +140,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
             for name in carried(KIND, drops.quantities)
             if emulator.carries(name)
             and (bare.beta is None or name != "material_damping")
-            and (partings or name != "session")
+            and (partings.possible.size or name != "session")
         ],
         combine=model,
         experiments=experiments(drops, sigmas, _proposed(bare, start, seen.ratios)),
@@ -151,7 +151,6 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         notes=notes,
         lead=data.doubt,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
-        remarks={"session": _second(data, session, near)} if partings else {},
         bookkeeping=aside,
         with_sigma=lambda times: drops_problem(
             every.with_sigma(*(times.get(name, 1.0) for name in NAMES)), aside
@@ -205,21 +204,6 @@ def _seen(bare: DropModel, start: Array, values: Array) -> _Seen:
         height_m = _fitted_heights(height_m, errors, slopes, values - expected)
     left = (values - expected) / np.hypot(plain.sigma, plain.sigma_y0_m * slopes)
     return _Seen(errors, height_m, left, ratios)
-
-
-def _second(data: datasets.Drops, session: Array, near: tuple[int, int]) -> str:
-    """Which drops are those of the second session, in words."""
-    second = np.flatnonzero(session > 0.0)
-    if data.session is not None:
-        return "of " + ", ".join(dict.fromkeys(data.session[i] for i in second))
-    first, last = (f"{data.drop[i]:g}" for i in second[[0, -1]])
-    if second[-1] < len(session) - 1:
-        return f"drops {first} to {last}"
-    if near[0] == near[1]:
-        return f"from drop {first} on"
-    return (
-        f"from drop {first} on (it may be from any of {near[0]} to {near[1]}, and its size with it)"
-    )
 
 
 def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> Build:
@@ -343,47 +327,12 @@ def _later(drop: Array) -> NDArray[np.bool_]:
     return np.asarray(step > MISSING * max(usual, 1.0))
 
 
-def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int, tuple[int, int]]:
-    """Which drops (drops,) are of the second of two sessions; among how many ways to part them that
-    was chosen: the one that explains most of what is ``left`` (drops, q) by two levels; and the
-    numbers of the first and last drop with which the second session may begin nearly as well.
-
-    Where sessions are told, by a column or by gaps in the numbering, they are parted at one of
-    their boundaries, or one of them from all others; else anywhere in the order.
-    """
-    n = len(data.drop)
-    if data.session is not None:
-        names = list(dict.fromkeys(data.session))
-        label = np.array([names.index(each) for each in data.session])
-    else:
-        label = np.cumsum(_later(data.drop))
-    told = int(label.max()) > 0
-    label = label if told else np.arange(n)
-    there = np.isfinite(left)
-    soft = np.clip(np.where(there, left, 0.0), -5.0, 5.0)
-    count = int(label.max()) + 1
-    drops = np.bincount(label)
-    sizes, sums = np.zeros((2, count, left.shape[1]))
-    np.add.at(sizes, label, there)
-    np.add.at(sums, label, soft)
-    # from each label on; and of labels that are told each one alone
-    parts = [np.cumsum(each[::-1], axis=0)[::-1][1:] for each in (drops, sizes, sums)]
-    if told and count > 2:
-        alone = (each[1:-1] for each in (drops, sizes, sums))
-        parts = [np.concatenate(each) for each in zip(parts, alone, strict=True)]
-    second, size, load = parts
-    fewest = FEWEST_TOLD if told else FEWEST_IN_SESSION
-    possible = np.flatnonzero(np.minimum(second, n - second) >= fewest)
-    if not possible.size:
-        return np.zeros(n), 0, (0, 0)
-    gains = load**2 / np.maximum(size, 1)
-    gains += (sums.sum(axis=0) - load) ** 2 / np.maximum(sizes.sum(axis=0) - size, 1)
-    gain = gains[possible].sum(axis=1)
-    best = int(possible[np.argmax(gain)])
-    way = label >= 1 + best if best < count - 1 else label == 2 + best - count
-    near = 1 + possible[gain > gain.max() - 2.0 * NEARLY]
-    first, last = (0, 0) if told else (int(data.drop[near.min()]), int(data.drop[near.max()]))
-    return way.astype(float), possible.size, (first, last)
+def _partings(data: datasets.Drops) -> Partings:
+    """How these drops may be parted into two sessions."""
+    if data.session is None:
+        return Partings(data.drop, np.cumsum(_later(data.drop)))
+    names = tuple(dict.fromkeys(data.session))
+    return Partings(data.drop, np.array([names.index(each) for each in data.session]), names)
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
-from ...problem import Problem, carried
+from ...problem import Model, Problem, carried
 from .layout import MOST_BINS, Layout, lay_out, used_band
 from .model import (
     WaveModel,
@@ -66,12 +66,13 @@ def wave_problem(data: Waves) -> Problem:
     def combine(effects: Sequence[str]) -> WaveModel:
         return replace(model, effects=carried("waves", effects, possible))
 
-    def confirm(effects: Sequence[str], theta: Array, groups: NDArray[np.int64]) -> Array:
-        """Predictions (rows of ``groups``,) by the 3-D bar; the baseline's with no effects."""
+    def confirm(found: Model, theta: Array, groups: NDArray[np.int64]) -> Array:
+        """Predictions (rows of ``groups``,) by the 3-D bar."""
         from .solid import solid_wave_numbers
 
+        assert isinstance(found, WaveModel)
         solid = solid_wave_numbers(data.manifest.bristle, band)
-        predicted = replace(combine(effects), solid=solid).predict(theta)
+        predicted = replace(found, solid=solid).predict(theta)
         return np.asarray(predicted[0, np.isin(layout.group, groups)])
 
     values = white.factor @ layout.windows.components(data.predicted.signal)
