@@ -243,7 +243,7 @@ def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> 
     if ratio.trend is not None and ratio.trend.p_value < 0.05:
         doubts.append(
             f"y1/y0 changes with y0 (p = {ratio.trend.p_value:.2g}). In this model it does not: "
-            "something is missing from it, and Kn takes up what that something does."
+            "unless this is chance, something is missing from it, and Kn takes up what that does."
         )
     if ratio.sigma_share is not None and ratio.sigma_share < 0.5:
         doubts.append(

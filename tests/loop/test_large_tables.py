@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from made_drops import write_drops
 
 from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.adequacy import STATE_SHARES, STATE_SHIFTS, STATE_SPREADS, _two_states
-from bristle.studies.loop.kinds.drops.problem import drops_problem, sessions
+from bristle.studies.loop.fit import BOX_PRECISION
+from bristle.studies.loop.kinds.drops.problem import drops_problem
+from bristle.studies.loop.responses.sessions import Partings
 from bristle.studies.loop.sample import ENOUGH, sample
+from bristle.studies.loop.search import chosen, fit_baseline
 from bristle.studies.loop.shapes import Refit, Shapes, UnitShapes, bands_of
 
 pytestmark = pytest.mark.serial
@@ -74,32 +78,66 @@ def test_shapes_are_summed_by_their_parts_as_one_by_one():
 
 
 @pytest.mark.parametrize("told", ["by a column", "by nothing"])
-def test_sessions_are_parted_where_two_levels_explain_most(told, tmp_path):
-    """Against trying every way."""
+def test_sessions_are_parted_where_a_refit_gains_most(told):
+    """Against least squares in every way."""
     rng = np.random.default_rng(8)
-    data = read_drops(write_drops(tmp_path))
-    n = len(data.drop)
-    left = rng.standard_normal((n, 2)) + (np.arange(n) >= 17)[:, None]
-    left[rng.random((n, 2)) < 0.2] = np.nan
-    label = np.arange(n)
+    n = 40
+    label = np.arange(n) // 8 if told == "by a column" else np.zeros(n, dtype=int)
+    drop = np.repeat(np.arange(n), 2)[rng.random(2 * n) > 0.2]
+    slope, free = rng.uniform(0.5, 1.5, drop.size), rng.standard_normal((drop.size, 2))
+    left = rng.standard_normal(drop.size) + (drop >= 17) * slope
+    partings = Partings(1.0 + np.arange(n), label)
+    beside = SimpleNamespace(mean=0.0, spread=np.zeros(drop.size), mean_slopes=free)
+    found = partings.gains(SimpleNamespace(values=left), beside, drop, slope)
+    start = label if told == "by a column" else np.arange(n)
+    ways = [start >= k for k in range(1, start.max() + 1)]
     if told == "by a column":
-        label = np.arange(n) // 8
-        data = replace(data, session=tuple(f"day {k}" for k in label))
-    ways = [label >= k for k in range(1, label.max() + 1)]
-    if told == "by a column":
-        ways += [label == k for k in range(1, label.max())]
+        ways += [start == k for k in range(1, start.max())]
     ways = [way for way in ways if 4 <= way.sum() <= n - 4]
 
-    def gain(way):
-        sides = (np.clip(left[side], -5, 5) for side in (way, ~way))
-        return sum(np.sum(np.nansum(s, axis=0) ** 2 / np.isfinite(s).sum(axis=0)) for s in sides)
+    def misfit(*steps):
+        rows = np.vstack([np.column_stack([free, *steps]), np.zeros((2, 2 + len(steps)))])
+        rows[-2:, :2] = np.sqrt(BOX_PRECISION) * np.eye(2)
+        values = np.append(np.clip(left, -5, 5), [0.0, 0.0])
+        return np.sum((values - rows @ np.linalg.lstsq(rows, values)[0]) ** 2)
 
-    found, count, (first, last) = sessions(data, left)
-    assert count == len(ways)
-    assert gain(found > 0) == pytest.approx(max(map(gain, ways)))
-    if told == "by nothing":  # its change is at drop 18, which has number 18
-        assert first <= data.drop[np.argmax(found)] <= last
-        assert first <= 18 <= last
+    gains = [0.5 * (misfit() - misfit(slope * way[drop])) for way in ways]
+    np.testing.assert_allclose(found, gains, rtol=1e-9, atol=1e-9)
+    parted = partings.parted(found)
+    np.testing.assert_array_equal(parted.second, ways[int(np.argmax(gains))])
+    if told == "by nothing":  # its change is at the drop numbered 18
+        assert parted.near[0] <= 18 <= parted.near[1]
+
+
+def test_a_session_is_found_beside_wear_that_hides_it(many):
+    """Wear of one sense and a session of the other all but cancel. Without the wear the second
+    session seems to begin elsewhere."""
+    one = replace(many.baseline.drops, whole=None).of(np.arange(48))
+    label = np.zeros(48, dtype=int)
+    drops = replace(one, whole=None, partings=Partings(1.0 + np.arange(48), label), session=0.0)
+    rng = np.random.default_rng(2)
+    errors = many.baseline.errors.only(np.arange(48))
+
+    def model(*effects):
+        return replace(many.baseline, drops=drops, errors=errors, effects=effects)
+
+    second = replace(drops, session=(np.arange(48) >= 20).astype(float))
+    true = replace(model("wear", "session"), drops=second)
+    values = true.predict(np.array([2e6, 6.0, -0.4]))[0] + rng.standard_normal(48)
+    problem = replace(
+        many,
+        values=values,
+        **{name: getattr(many, name)[:48] for name in ("scale", "quantity", "group")},
+        covariates={name: x[:48] for name, x in many.covariates.items()},
+        baseline=model(),
+    )
+    data = sample(problem, problem.groups)
+    worn = fit_baseline(data, model("wear"))
+    plain = fit_baseline(data, model())
+    both = chosen(data, worn, model("wear", "session"))
+    assert both.drops.partings.near[0] <= 21 <= both.drops.partings.near[1]
+    alone = chosen(data, plain, model("session"))
+    assert not alone.drops.partings.near[0] <= 21 <= alone.drops.partings.near[1]
 
 
 def test_two_states_are_weighed_as_their_likelihood_says():
