@@ -25,9 +25,9 @@ from bristle.studies.loop.kinds.drops.problem import (
     drops_problem,
     order_of,
     read_problem,
-    sessions,
 )
 from bristle.studies.loop.responses.errors import Errors
+from bristle.studies.loop.responses.sessions import Partings
 from bristle.studies.loop.run import find
 from bristle.studies.loop.scatter import Scatter
 
@@ -398,12 +398,14 @@ def test_a_difference_between_sessions_is_named_as_such(told, few, tmp_path):
     assert found.parameters["decades"].low < 0.12 < found.parameters["decades"].high
 
 
-def test_a_session_that_the_table_tells_may_have_two_drops(tmp_path):
-    data = read_drops(write_drops(tmp_path))
-    left = np.repeat([[0.0], [3.0]], [2, len(data.drop) - 2], axis=0)
-    told = replace(data, session=("a",) * 2 + ("b",) * (len(data.drop) - 2))
-    assert list(np.flatnonzero(sessions(told, left)[0] == 0.0)) == [0, 1]
-    assert np.sum(sessions(data, left)[0] == 0.0) == 4
+def test_a_session_that_the_table_tells_may_have_two_drops():
+    drop = 1.0 + np.arange(12)
+    told = Partings(drop, np.repeat([0, 1], [2, 10]), ("a", "b"))
+    assert list(told.possible) == [0]
+    assert list(np.flatnonzero(told.parted(np.zeros(1)).second == 0.0)) == [0, 1]
+    untold = Partings(drop, np.zeros(12, dtype=int))
+    first = untold.parted(-np.arange(float(untold.possible.size)))
+    assert np.sum(first.second == 0.0) == 4
 
 
 def test_a_row_that_stands_twice_is_told_and_counted_once(few, tmp_path):
