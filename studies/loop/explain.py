@@ -129,19 +129,11 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
         ]
         if any(one is not other for one, other in zip(refined, singles, strict=True)):
             looked = _looked_at(state, refined)
-    best = max(each.log_evidence for each in refined)
-    least = best + state.cost - NEAR
+    # a pair has to be likelier than the effects that hold by themselves
+    alone = [each.posterior.log_evidence for each in looked if each.holds]
+    least = max(alone, default=max(each.log_evidence for each in refined) - NEAR) + state.cost
     pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
-    # of two effects of which one does alone the other has to make more than up for itself
-    alone = [each.posterior for each in looked if each.holds]
-    better = [
-        each
-        for each in pairs
-        if each.log_evidence
-        > max(
-            [least, *(p.log_evidence + state.cost for p in alone if p.effects[0] in each.effects)]
-        )
-    ]
+    better = [each for each in pairs if each.log_evidence > least]
     return _with_spared(state, [*looked, *_looked_at(state, better, refined, looked)]), refined
 
 
