@@ -508,6 +508,34 @@ def test_what_is_likelier_and_was_refused_is_told(monkeypatch):
     assert told == f"adhesion, {times} as probable, was refused: it is not noise"
 
 
+@pytest.mark.parametrize(("p_value", "kept"), [(0.008, True), (1e-12, False)])
+def test_odd_residuals_count_against_an_effect_where_another_holds(p_value, kept, monkeypatch):
+    problem = toys.problem(5, {"adhesion": 12.0})[0]
+    plain = find(problem, seed=5)
+    assess = explain.assess
+
+    def odd(data, fitted, *others, **more):
+        left = assess(data, fitted, *others, **more)
+        mine = fitted.effects == plain.effects and "unlisted" in more and others[0]
+        return replace(left, p_value=p_value) if mine else left
+
+    monkeypatch.setattr(explain, "assess", odd)
+    alone = find(problem, seed=5)
+    assert plain.effects not in alone.reported  # by itself it is refused
+    monkeypatch.setattr(explain, "_worse", lambda *_: "")
+    beside = find(problem, seed=5)
+    assert (plain.effects in beside.reported) is kept
+    assert any("is odd (test for" in each for each in beside.warnings) is kept
+    assert any("was refused" in each for each in beside.warnings) is not kept
+
+
+def test_a_p_value_counts_as_much_as_it_can_at_most():
+    """Sellke, Bayarri and Berger's table: 0.05 is 2.46 to 1 at most, 0.01 is 8.0."""
+    assert math.exp(explain.odds_against(0.05)) == pytest.approx(2.46, abs=0.01)
+    assert math.exp(explain.odds_against(0.01)) == pytest.approx(8.0, abs=0.05)
+    assert explain.odds_against(0.5) == 0.0
+
+
 def test_error_on_held_out_drops_falls():
     held = find(toys.problem(5, {"adhesion": 14.0})[0], seed=5).held_out
     assert held.rms_after < held.rms_before
