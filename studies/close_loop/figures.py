@@ -32,7 +32,7 @@ from ..report.figures import (
     styled,
 )
 from .confirm import Solid
-from .rows import COUNTING, Rows, names_of, title_of
+from .rows import COUNTING, Closed, names_of, title_of
 
 BEFORE, AFTER = VERMILION, BLUE
 LOOK: dict[str, Any] = {"ls": "none", "fillstyle": "none"}
@@ -67,12 +67,12 @@ def noise_figure(ax: Axes, before: Array, after: Array, bins: Array) -> None:
 
 
 @drawing()
-def fit_figure(ax: Axes, rows: Rows, quantity: str) -> None:
+def fit_figure(ax: Axes, closed: Closed, quantity: str) -> None:
     """The main quantity as measured, and the baseline's, against what it was measured at."""
-    covariate, x = next(each for each in rows.covariates if each[0].name not in COUNTING)
-    mine = rows.main
+    covariate, x = next(each for each in closed.covariates if each[0].name not in COUNTING)
+    mine = closed.problem.is_main
     measured, fitted = (
-        rows.measured(each)[mine] for each in (rows.closed.problem.values, rows.means[0])
+        closed.measured(each)[mine] for each in (closed.problem.values, closed.means[0])
     )
     ax.plot(x[mine], measured, "o", color=BLACK, fillstyle="none", label="measured")
     ax.plot(x[mine], fitted, "+", color=BEFORE, ms=5, label="baseline, fitted")
@@ -80,13 +80,13 @@ def fit_figure(ax: Axes, rows: Rows, quantity: str) -> None:
 
 
 @styled
-def residual_figure(rows: Rows) -> Figure:
+def residual_figure(closed: Closed) -> Figure:
     """Residuals in standard deviations against every covariate, before and after."""
-    covariates = rows.covariates
-    quantity = rows.closed.problem.quantity
+    covariates = closed.covariates
+    quantity = closed.problem.quantity
     names = list(dict.fromkeys(quantity.tolist()))
     figure, axes = panels(len(covariates), 2, height_in=0.4 + 1.9 * len(covariates))
-    sides = zip(axes.T, rows.left, ("before", "after"), (BEFORE, AFTER), strict=True)
+    sides = zip(axes.T, closed.left, ("before", "after"), (BEFORE, AFTER), strict=True)
     markers = dict(zip(names, itertools.cycle(MARKERS), strict=False))
     for column, residual, words, colour in sides:
         column[0].set_title(words)

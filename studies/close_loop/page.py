@@ -10,13 +10,13 @@ from ..inputs.sources import command_line
 from ..inputs.study_fields import LoopInputs
 from ..report.page import Report, percent, write_report
 from .opening import few_data, names_of_groups, opening, would_have_shown
-from .rows import Closed, Rows
+from .rows import Closed
 from .sections import SECTIONS, prose
 
 
 def write_page(closed: Closed, out: Path) -> Path:
     """Write ``report.html``, ``tables/`` and ``figures/`` into ``out``; returns the page's path."""
-    rows, manifest, asked = Rows(closed), closed.manifest, closed.inputs
+    manifest, asked, problem = closed.manifest, closed.inputs, closed.problem
     page = Report(
         title=f"What the model lacks: {manifest.title}",
         lead="The model is fitted to measured data. What it does not explain is tested and traced "
@@ -26,13 +26,13 @@ def write_page(closed: Closed, out: Path) -> Path:
         facts=[
             ("Dataset", manifest.title),
             ("Kind", manifest.kind),
-            ("Values", f"{len(rows.main)} in {len(np.unique(closed.problem.group))} groups"),
+            ("Values", f"{len(problem.values)} in {len(np.unique(problem.group))} groups"),
             ("Source", manifest.source or "not declared"),
             ("Licence of the data", manifest.licence or "not declared"),
             ("Seed", str(asked.seed)),
             ("False-alarm rate", percent(asked.alarm, 1)),
         ],
-        sections=[section(rows) for section in SECTIONS],
+        sections=[section(closed) for section in SECTIONS],
     )
     return write_report(page, out)
 

@@ -19,27 +19,6 @@ from .confirm import Confirmation
 
 
 @dataclass(frozen=True)
-class Closed:
-    """A loop that ran: what was asked, what was found in the data, and in 3-D."""
-
-    manifest: Manifest
-    inputs: LoopInputs
-    finding: Finding
-    confirmation: Confirmation
-
-    @property
-    def problem(self) -> Problem:
-        """The data as they were fitted: their errors need not be those that were declared."""
-        return self.finding.problem
-
-    @property
-    def warnings(self) -> list[str]:
-        """All that deserves doubt, in sentences."""
-        held = self.finding.held_out
-        return [*self.finding.all_warnings(), *self.confirmation.doubts(held)]
-
-
-@dataclass(frozen=True)
 class Covariate:
     """What residuals are looked at against: its label, unit and the factor from SI to it."""
 
@@ -70,28 +49,37 @@ COUNTING = ("order", "session")
 
 
 @dataclass(frozen=True)
-class Rows:
-    """All rows of a problem under the baseline and under the reported model."""
+class Closed:
+    """A loop that ran: what was asked, what was found in the data, and in 3-D."""
 
-    closed: Closed
+    manifest: Manifest
+    inputs: LoopInputs
+    finding: Finding
+    confirmation: Confirmation
 
     @property
-    def main(self) -> NDArray[np.bool_]:
-        """Rows of the main quantity, the one that errors are told of."""
-        return self.closed.problem.is_main
+    def problem(self) -> Problem:
+        """The data as they were fitted: their errors need not be those that were declared."""
+        return self.finding.problem
+
+    @property
+    def warnings(self) -> list[str]:
+        """All that deserves doubt, in sentences."""
+        held = self.finding.held_out
+        return [*self.finding.all_warnings(), *self.confirmation.doubts(held)]
 
     @cached_property
     def held(self) -> NDArray[np.bool_]:
-        held = self.closed.finding.held_out
+        held = self.finding.held_out
         groups = held.groups if held is not None else ()
-        return np.isin(self.closed.problem.group, groups)
+        return np.isin(self.problem.group, groups)
 
     @cached_property
     def _predicted(self) -> list[tuple[Array, Array]]:
         """Weights (nodes,) and whitened predictions (nodes, rows): first the fitted baseline's,
         last the reported model's."""
-        finding = self.closed.finding
-        fitted = [(self.closed.problem.baseline, np.array(finding.evidences[0].theta))]
+        finding = self.finding
+        fitted = [(self.problem.baseline, np.array(finding.evidences[0].theta))]
         if finding.model_effects:
             fitted.append((finding.model, finding.theta))
         return [(np.asarray(model.weights), model.predict(theta)) for model, theta in fitted]
@@ -106,7 +94,7 @@ class Rows:
     @cached_property
     def unit(self) -> Array:
         """What takes whitened residuals (rows,) to σ where that is estimated, else one."""
-        finding, problem = self.closed.finding, self.closed.problem
+        finding, problem = self.finding, self.problem
         unit = np.ones(len(problem.values))
         if problem.sigma_declared:
             return unit
@@ -122,7 +110,7 @@ class Rows:
     def left(self) -> tuple[Array, Array]:
         """What the baseline and the reported model leave of each value (rows,), in standard
         deviations: `quantile_residuals` of each row by itself."""
-        values, alone = self.closed.problem.values * self.unit, np.arange(len(self.unit) + 1)
+        values, alone = self.problem.values * self.unit, np.arange(len(self.unit) + 1)
         several = [
             quantile_residuals(values, predicted * self.unit, weights, alone)
             for weights, predicted in self._predicted
@@ -131,13 +119,13 @@ class Rows:
 
     def measured(self, whitened: Array) -> Array:
         """Values (rows,) in the problem's unit; of the main quantity only."""
-        return np.asarray(whitened * self.closed.problem.scale)
+        return np.asarray(whitened * self.problem.scale)
 
     @property
     def covariates(self) -> list[tuple[Covariate, Array]]:
         """Covariates in their display units, (rows,) each."""
         found: list[tuple[Covariate, Array]] = []
-        for name, values in self.closed.problem.covariates.items():
+        for name, values in self.problem.covariates.items():
             covariate = COVARIATES.get(name, Covariate(name, name.replace("_", " ")))
             found.append((covariate, covariate.factor * np.asarray(values, dtype=float)))
         return found

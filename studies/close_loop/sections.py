@@ -24,7 +24,7 @@ from . import figures
 from .confirm import Solid
 from .directions import directions
 from .opening import opening
-from .rows import Rows, names_of, title_of
+from .rows import Closed, names_of, title_of
 
 BINS = np.linspace(-6.0, 6.0, 33)
 HEADS: dict[str, Head] = {
@@ -60,16 +60,16 @@ words_of_p = partial(p_text, shown=partial(show, digits=2))
 prose = Prose(path, HEADS, title_of=title_of, names_of=names_of, p_text=words_of_p)
 
 
-def quantity_of(rows: Rows) -> str:
+def quantity_of(closed: Closed) -> str:
     """The main quantity with its unit."""
-    problem = rows.closed.problem
+    problem = closed.problem
     name = problem.main_quantity
     return name if "(" in name else f"{name} ({problem.unit})"
 
 
-def _in_unit(rows: Rows, **heads: str) -> dict[str, Head]:
+def _in_unit(closed: Closed, **heads: str) -> dict[str, Head]:
     """Heads of columns that hold values of the main quantity."""
-    return {key: (head, rows.closed.problem.unit, 5) for key, head in heads.items()}
+    return {key: (head, closed.problem.unit, 5) for key, head in heads.items()}
 
 
 def _attributes(items: Sequence[Any], *names: str) -> dict[str, list[Any]]:
@@ -77,14 +77,14 @@ def _attributes(items: Sequence[Any], *names: str) -> dict[str, list[Any]]:
     return {name: [getattr(each, name) for each in items] for name in names}
 
 
-def _noise(rows: Rows) -> Section:
-    problem, noise = rows.closed.problem, rows.closed.finding.noise
+def _noise(closed: Closed) -> Section:
+    problem, noise = closed.problem, closed.finding.noise
     draft = prose("noise", declared=problem.sigma_declared, noise=noise, notes=problem.notes)
-    before, after = (np.histogram(np.clip(x, BINS[0], BINS[-1]), BINS)[0] for x in rows.left)
+    before, after = (np.histogram(np.clip(x, BINS[0], BINS[-1]), BINS)[0] for x in closed.left)
     counts = {"from_sigma": BINS[:-1], "to_sigma": BINS[1:], "before": before, "after": after}
-    drawn = figures.noise_figure(*rows.left, BINS)
+    drawn = figures.noise_figure(*closed.left, BINS)
     draft.figure("noise", drawn, draft.data("residual_histogram", counts))
-    values = pd.DataFrame({"quantity": problem.quantity, "sigma": problem.scale / rows.unit})
+    values = pd.DataFrame({"quantity": problem.quantity, "sigma": problem.scale / closed.unit})
     by_quantity = values.groupby("quantity", sort=False).sigma
     table = by_quantity.agg(values="size", sigma="median").reset_index()
     table["unit"] = [problem.unit, *[""] * (len(table) - 1)]
@@ -93,25 +93,25 @@ def _noise(rows: Rows) -> Section:
     return draft.section()
 
 
-def _baseline(rows: Rows) -> Section:
-    problem, finding = rows.closed.problem, rows.closed.finding
+def _baseline(closed: Closed) -> Section:
+    problem, finding = closed.problem, closed.finding
     theta, parameters = finding.evidences[0].theta, problem.baseline.parameters
-    quantity, mine = quantity_of(rows), rows.main
-    seen = _directions(rows, problem.baseline, theta)
+    quantity, mine = quantity_of(closed), closed.problem.is_main
+    seen = _directions(closed, problem.baseline, theta)
     unseen = [each for each, data in zip(seen["direction"], seen["seen"], strict=True) if not data]
     draft = prose("baseline", unseen=unseen, quantity=quantity)
     values = {
         "group": problem.group[mine],
-        **{covariate.name: x[mine] for covariate, x in rows.covariates},
-        "measured": rows.measured(problem.values)[mine],
-        "before": rows.measured(rows.means[0])[mine],
-        "after": rows.measured(rows.means[1])[mine],
-        "held_out": rows.held[mine],
+        **{covariate.name: x[mine] for covariate, x in closed.covariates},
+        "measured": closed.measured(problem.values)[mine],
+        "before": closed.measured(closed.means[0])[mine],
+        "after": closed.measured(closed.means[1])[mine],
+        "held_out": closed.held[mine],
     }
-    heads = _covariates(rows) | _in_unit(
-        rows, measured="measured", before="baseline", after="with what was found"
+    heads = _covariates(closed) | _in_unit(
+        closed, measured="measured", before="baseline", after="with what was found"
     )
-    draft.figure("baseline", figures.fit_figure(rows, quantity), draft.data("fit", values, heads))
+    draft.figure("baseline", figures.fit_figure(closed, quantity), draft.data("fit", values, heads))
     columns = {
         "parameter": [each.name for each in parameters],
         "estimate": np.asarray(theta),
@@ -122,36 +122,36 @@ def _baseline(rows: Rows) -> Section:
     return draft.section()
 
 
-def _covariates(rows: Rows) -> dict[str, Head]:
-    return {covariate.name: (covariate.label, covariate.unit) for covariate, _ in rows.covariates}
+def _covariates(closed: Closed) -> dict[str, Head]:
+    return {covariate.name: (covariate.label, covariate.unit) for covariate, _ in closed.covariates}
 
 
-def _directions(rows: Rows, model: Model, theta: Sequence[float]) -> dict[str, list[Any]]:
+def _directions(closed: Closed, model: Model, theta: Sequence[float]) -> dict[str, list[Any]]:
     """Directions among parameters, and how well the data tell them."""
-    found = directions(model, theta, rows.closed.finding.rows, rows.unit)
+    found = directions(model, theta, closed.finding.rows, closed.unit)
     names = [each.name for each in model.parameters]
     words = [each.words(names) for each in found]
     return {"direction": words, **_attributes(found, "deviation", "seen")}
 
 
-def _residuals(rows: Rows) -> Section:
-    problem = rows.closed.problem
-    against = ", ".join(covariate.label for covariate, _ in rows.covariates)
+def _residuals(closed: Closed) -> Section:
+    problem = closed.problem
+    against = ", ".join(covariate.label for covariate, _ in closed.covariates)
     draft = prose("residuals", against=against)
     left = {
         "group": problem.group,
         "quantity": problem.quantity,
-        **{covariate.name: x for covariate, x in rows.covariates},
-        **dict(zip(("before", "after"), rows.left, strict=True)),
-        "held_out": rows.held,
+        **{covariate.name: x for covariate, x in closed.covariates},
+        **dict(zip(("before", "after"), closed.left, strict=True)),
+        "held_out": closed.held,
     }
-    data = draft.data("residuals", left, _covariates(rows) | SIGMA)
-    draft.figure("residuals", figures.residual_figure(rows), data)
+    data = draft.data("residuals", left, _covariates(closed) | SIGMA)
+    draft.figure("residuals", figures.residual_figure(closed), data)
     return draft.section()
 
 
-def _tests(rows: Rows) -> Section:
-    finding = rows.closed.finding
+def _tests(closed: Closed) -> Section:
+    finding = closed.finding
     draft = prose("tests", finding=finding)
     drawn = figures.tests_figure(finding.tests, finding.tests_after, finding.p_value)
     draft.figure("tests", drawn, draft.data("tests", _tested(finding.tests)))
@@ -163,8 +163,8 @@ def _tested(tests: Sequence[Any]) -> dict[str, list[Any]]:
     return {"test": [each.name for each in tests], **_attributes(tests, "value", "p_value")}
 
 
-def _detectable(rows: Rows) -> Section:
-    finding, problem = rows.closed.finding, rows.closed.problem
+def _detectable(closed: Closed) -> Section:
+    finding, problem = closed.finding, closed.problem
     base = len(problem.baseline.parameters)
     own = {each.effects[0]: each.parameters[base] for each in problem.candidates}
     draft = prose("detectable", alike=[each for each in finding.classes if len(each) > 1])
@@ -194,8 +194,8 @@ def _of_typical(own: Parameter, least: float | None) -> float | None:
     return None if least is None or typical == 0.0 else least / typical
 
 
-def _evidence(rows: Rows) -> Section:
-    finding = rows.closed.finding
+def _evidence(closed: Closed) -> Section:
+    finding = closed.finding
     tried, base = finding.evidences, finding.evidences[0].log_evidence
     draft = prose("evidence", tried=tried)
     columns: dict[str, list[Any]] = {
@@ -212,8 +212,8 @@ def _evidence(rows: Rows) -> Section:
     return draft.section()
 
 
-def _attribution(rows: Rows) -> Section:
-    finding = rows.closed.finding
+def _attribution(closed: Closed) -> Section:
+    finding = closed.finding
     draft = prose("attribution", finding=finding, opening=opening(finding))
     parameters = {
         "parameter": list(finding.parameters),
@@ -228,15 +228,15 @@ def _attribution(rows: Rows) -> Section:
     }
     drawn = figures.weights_figure(finding) if finding.effects else None
     draft.figure("weights", drawn, draft.data("weights", weights))
-    seen = _directions(rows, finding.model, tuple(finding.theta))
+    seen = _directions(closed, finding.model, tuple(finding.theta))
     draft.table("refit_directions", seen)
     return draft.section()
 
 
-def _left(rows: Rows) -> Section:
-    finding = rows.closed.finding
+def _left(closed: Closed) -> Section:
+    finding = closed.finding
     draft = prose("left", p_value=finding.open_set_p_value)
-    before, after = (np.sort(x[finding.rows]) for x in rows.left)
+    before, after = (np.sort(x[finding.rows]) for x in closed.left)
     expected = ndtri((np.arange(len(before)) + 0.5) / len(before))
     sorted_left = {"normal": expected, "before": before, "after": after}
     drawn = figures.left_figure(expected, before, after)
@@ -245,53 +245,53 @@ def _left(rows: Rows) -> Section:
     return draft.section()
 
 
-def held_out_section(rows: Rows) -> Section:
+def held_out_section(closed: Closed) -> Section:
     """Errors on what took no part, with what was predicted of it."""
-    held = rows.closed.finding.held_out
+    held = closed.finding.held_out
     draft = prose("held_out", "held-out", held=held)
-    _errors(rows, draft)
-    values = _values(rows, held, "before", "after", "low", "high")
+    _errors(closed, draft)
+    values = _values(closed, held, "before", "after", "low", "high")
     words = {"measured": "measured", "before": "before", "after": "after"}
-    heads = _in_unit(rows, **words, low="90 % from", high="to")
-    drawn = figures.held_figure(held, quantity_of(rows), values["group"]) if held else None
+    heads = _in_unit(closed, **words, low="90 % from", high="to")
+    drawn = figures.held_figure(held, quantity_of(closed), values["group"]) if held else None
     draft.figure("held-out", drawn, draft.data("held_out", values, heads))
     return draft.section()
 
 
-def _values(rows: Rows, predicted: HeldOut | Solid | None, *names: str) -> dict[str, Any]:
+def _values(closed: Closed, predicted: HeldOut | Solid | None, *names: str) -> dict[str, Any]:
     """Columns of held-out values and what is predicted of them, empty where that is None."""
     if predicted is None:
         return dict.fromkeys(("group", "measured", *names), ())
     own = {name: getattr(predicted, name) for name in names}
-    group = rows.closed.problem.group[predicted.rows]
+    group = closed.problem.group[predicted.rows]
     return {"group": group, "measured": predicted.values, **own}
 
 
-def _errors(rows: Rows, draft: Draft) -> None:
+def _errors(closed: Closed, draft: Draft) -> None:
     """Errors before and after, by the fast model and by the 3-D one."""
-    models = {"as fitted": rows.closed.finding.held_out, "3-D": rows.closed.confirmation.solid}
+    models = {"as fitted": closed.finding.held_out, "3-D": closed.confirmation.solid}
     found = {name: each for name, each in models.items() if each is not None}
     names = ("rms_before", "rms_after", "reduction_low", "reduction_high", "coverage_90")
-    unit = rows.closed.problem.unit
+    unit = closed.problem.unit
     columns: dict[str, list[Any]] = {"model": list(found)}
     columns |= {name: [getattr(each, name, None) for each in found.values()] for name in names}
     heads: dict[str, Head] = {f"rms_{at}": (f"rms {at}", unit) for at in ("before", "after")}
     draft.table("errors", columns, heads)
 
 
-def _solid(rows: Rows) -> Section:
-    confirmation = rows.closed.confirmation
+def _solid(closed: Closed) -> Section:
+    confirmation = closed.confirmation
     solid = confirmation.solid
     draft = prose("solid", solid=solid, why=confirmation.why)
-    values = _values(rows, solid, "before", "after")
-    heads = _in_unit(rows, measured="measured", before="3-D before", after="3-D after")
-    drawn = figures.solid_figure(solid, quantity_of(rows)) if solid else None
+    values = _values(closed, solid, "before", "after")
+    heads = _in_unit(closed, measured="measured", before="3-D before", after="3-D after")
+    drawn = figures.solid_figure(solid, quantity_of(closed)) if solid else None
     draft.figure("solid", drawn, draft.data("solid", values, heads))
     return draft.section()
 
 
-def _next(rows: Rows) -> Section:
-    finding = rows.closed.finding
+def _next(closed: Closed) -> Section:
+    finding = closed.finding
     asked = [] if finding.next_experiment is None else [finding.next_experiment]
     draft = prose("next", finding=finding)
     columns = {

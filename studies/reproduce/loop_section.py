@@ -23,7 +23,7 @@ from scipy.stats import chi2
 from ...solver import paper
 from ...solver.arrays import Array
 from ..close_loop.page import headline
-from ..close_loop.rows import Closed, Rows, title_of
+from ..close_loop.rows import Closed, title_of
 from ..close_loop.run import close_several, problem_of
 from ..close_loop.sections import held_out_section
 from ..data.datasets import Drops, Manifest, read_manifest
@@ -246,7 +246,7 @@ class LoopOnMeasured(LoopStudy):
 
 def _held_out(closed: Closed) -> Figure:
     """Held-out values as predicted, the figure of the dataset's own page."""
-    (drawn,) = held_out_section(Rows(closed)).figures
+    (drawn,) = held_out_section(closed).figures
     name = f"held-out-{closed.manifest.folder.name}"
     caption = f"{closed.manifest.title}: {drawn.caption}"
     return replace(drawn, name=name, caption=caption, data=replace(drawn.data, name=name))
