@@ -33,8 +33,8 @@ BOUNCE = ("r", "a", "d")
 UNUSED, HELD, FALL, RISE = -3, -2, -1, 0
 """Phases of a frame; a rise after bounce j has the phase RISE + j."""
 Phases = NDArray[np.int64]
-STEPS = np.array([1e-6, 1e-5, 1e-6, 1e-5, 1e-5, 1e-5])
-BOUNCE_STEPS = np.array([1e-5, 1e-5, 1e-6])
+STEPS, BOUNCE_STEPS = (1e-6, 1e-5, 1e-6, 1e-5, 1e-5, 1e-5), (1e-5, 1e-5, 1e-6)
+"""Of differences, for the numbers of `HEAD` and `BOUNCE`."""
 LEAST_R, MOST_U = 1e-4, 0.98
 
 
@@ -133,21 +133,17 @@ def bouncing(since_s: float, speed: float, ratio: float, g: float) -> float:
 
 
 @njit
-def derivatives(p: Array, t_s: Array, phase: Phases, g: float, steps: Array) -> Array:
-    """Derivatives (frames, numbers) of `heights`, by central differences of ``steps``."""
+def derivatives(p: Array, t_s: Array, phase: Phases, g: float) -> Array:
+    """Derivatives (frames, numbers) of `heights`, by central differences."""
     out = np.empty((len(t_s), len(p)))
     for k in range(len(p)):
+        step = STEPS[k] if k < 6 else BOUNCE_STEPS[(k - 6) % 3]
         near, far = p.copy(), p.copy()
-        near[k] -= steps[k]
-        far[k] += steps[k]
+        near[k] -= step
+        far[k] += step
         after, before = heights(far, t_s, phase, g), heights(near, t_s, phase, g)
-        out[:, k] = (after - before) / (2.0 * steps[k])
+        out[:, k] = (after - before) / (2.0 * step)
     return out
-
-
-def steps_of(p: Array) -> Array:
-    """Steps of the differences for p."""
-    return np.concatenate([STEPS, np.tile(BOUNCE_STEPS, (len(p) - len(HEAD)) // len(BOUNCE))])
 
 
 def released(speed_m_s: Array, g: float, start_m_s: Array, drag_1_m: Array) -> Array:

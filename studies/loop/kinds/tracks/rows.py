@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
-from .flight import BOUNCE, HEAD, UNUSED, Phases, derivatives, heights, rises_of, steps_of
+from .flight import BOUNCE, HEAD, UNUSED, Phases, derivatives, heights, rises_of
 
 FEATURES = ("z", "h", "b", "u", "r", "a", "d", "l")
 """Of one bounce; those of the fall (the first four) belong to the first. The last is the lean in
@@ -121,7 +121,7 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     """Rows of a film's frames near the track ``p``."""
     used = phase != UNUSED
     t, part, g = film.t_s[used], phase[used], film.gravity_m_s2
-    slopes = derivatives(p, t, part, g, steps_of(p))
+    slopes = derivatives(p, t, part, g)
     sigma = deviation(film, slopes, used)
     slopes /= sigma[:, None]
     residual = (film.y_m[used] - heights(p, t, part, g)) / sigma

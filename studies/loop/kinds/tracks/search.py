@@ -25,7 +25,6 @@ from .flight import (
     fall_of,
     heights,
     rises_of,
-    steps_of,
 )
 from .guesses import CAP, LATER, LEAST_FRAMES, Guess, guesses
 from .phases import LEAST_HELD, LEAST_RATIO, phases
@@ -116,7 +115,7 @@ def _mistaken(film: Film, p: Array, held: bool) -> NDArray[np.bool_]:
     residual = np.abs(film.y_m - heights(p, film.t_s, phase, film.gravity_m_s2))
     usual = 1.4826 * float(np.median(residual[used])) if used.any() else 0.0
     sigma = np.maximum(film.sigma_y_m * np.asarray(film.relative), usual)
-    speed = np.abs(derivatives(p, film.t_s, phase, film.gravity_m_s2, steps_of(p))[:, 0])
+    speed = np.abs(derivatives(p, film.t_s, phase, film.gravity_m_s2)[:, 0])
     return used & (residual > OUTLYING * np.hypot(sigma, film.sigma_t_s * speed))
 
 
@@ -141,14 +140,14 @@ def _least(
     free = np.flatnonzero(nuisances | features)
     usual, tight = _prior(film, p) if prior is None else prior
     loose = tight[free]
-    sigma = deviation(film, derivatives(p, t, part, g, steps_of(p)), used)
+    sigma = deviation(film, derivatives(p, t, part, g), used)
 
     def left(q: Array) -> Array:
         return np.concatenate([(y - heights(q, t, part, g)) / sigma, loose * (usual - q)[free]])
 
     now, damping = left(p), 1e-6
     for _ in range(TURNS):
-        slopes = derivatives(p, t, part, g, steps_of(p))[:, free] / sigma[:, None]
+        slopes = derivatives(p, t, part, g)[:, free] / sigma[:, None]
         slopes = np.vstack([slopes, np.diag(loose)])
         normal, gradient = slopes.T @ slopes, slopes.T @ now
         gained = 0.0
