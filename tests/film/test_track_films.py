@@ -136,13 +136,13 @@ def test_heights_count_from_where_a_corner_of_the_end_touches(tmp_path):
     bristle.track(films, out=tmp_path / "seen")
     table = pd.read_csv(tmp_path / "seen" / "tracks.csv")
     data = read_tracks(tmp_path / "seen")
-    held = np.array([1e3 * data.y[each.start] for each in data.pieces])
+    held = np.array([1e3 * data.value[each.start] for each in data.pieces])
     # flights before and after cross where the bristle would be, did the touch take no time
     before, after = np.sqrt(2e3 * G * np.array([30.0, 18.0]))
     crossing = CONTACT_S * before * after / (before + after)
     error = float(data.manifest.measurement["sigma_surface_mm"]) / np.sqrt(len(held))
     assert np.mean(held) == pytest.approx(30.0 + crossing, abs=2.6 * error)
-    assert table.y_mm.to_numpy() - 1e3 * data.y == pytest.approx(Look().corner_mm(5.0), rel=0.1)
+    assert table.y_mm.to_numpy() - 1e3 * data.value == pytest.approx(Look().corner_mm(5.0), rel=0.1)
 
 
 def drawn_ball(folder, fps=120.0, aside_px_s=0.0, shade=0.0, shake_px=0.0):

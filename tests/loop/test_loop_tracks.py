@@ -369,7 +369,7 @@ def test_what_is_not_used_is_told(tmp_path):
     """Second impacts of bristles, and films of nothing."""
     data = made(tmp_path, {}, drops=8, keys="sigma_y_mm = 0.5\n", fps=60.0)
     still = slice(*data.begins[2:4])
-    data.y[still] = 0.05
+    data.value[still] = 0.05
     problem = tracks_problem(data)
     assert problem.left_aside == (
         "1 of 8 drops do not show a fall unmistakably, and are not used",
@@ -442,7 +442,7 @@ def test_fewer_frames_than_declared_are_fine_more_are_not(tmp_path):
 
 def test_heights_that_count_downward_are_refused(tmp_path):
     data = made(tmp_path, {}, keys="sigma_y_mm = 0.25\n", seconds=0.6, **HIGH)
-    data.y[:] = 0.5 - data.y
+    data.value[:] = 0.5 - data.value
     with pytest.raises(InputError, match=r"tracks\.csv:2: y_mm falls as the body rises"):
         filmed(data)
 

@@ -195,12 +195,12 @@ def _records(data: Forces) -> tuple[list[Record], float]:
     if sigma is None:
         quiet = []
         for piece in data.pieces:
-            force = data.force_N[piece]
+            force = data.value[piece]
             first = int(np.argmax(force > 0.2 * force.max()))
             quiet.append(force[: max(first // 2, 0)])
         before = np.concatenate(quiet)
         sigma = float(before.std()) if len(before) > 30 and before.std() > 0.0 else SIGMA_N
-    return [Record(data.t_s[p], data.force_N[p], float(sigma)) for p in data.pieces], float(sigma)
+    return [Record(data.t_s[p], data.value[p], float(sigma)) for p in data.pieces], float(sigma)
 
 
 def _emulator(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceEmulator:

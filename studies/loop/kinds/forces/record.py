@@ -12,7 +12,6 @@ from .....solver.arrays import Array
 from .....solver.errors import InputError
 from ....data.datasets import Manifest, read_manifest
 from ....data.tables import (
-    InPieces,
     Series,
     column,
     in_order,
@@ -30,20 +29,17 @@ PULSE = 0.2
 
 
 @dataclass(frozen=True)
-class Forces(InPieces):
-    """Samples of all drops, one after the other: ``t_s``, ``force_N`` (samples,).
+class Forces(Series):
+    """Samples of all drops, one after the other: ``value`` (samples,) is the force in N.
 
-    ``begins`` (drops + 1,) says where each drop's samples begin; ``drop``, ``y0_m`` (drops,), and
-    ``y1_m`` (drops,) or None. ``sigma_N`` and ``sigma_y_m`` are declared, or None.
+    ``drop``, ``y0_m`` (drops,), and ``y1_m`` (drops,) or None. ``sigma_N`` and ``sigma_y_m`` are
+    declared, or None.
     """
 
     manifest: Manifest
     drop: NDArray[np.int64]
     y0_m: Array
     y1_m: Array | None
-    t_s: Array
-    force_N: Array
-    begins: NDArray[np.int64]
     sigma_N: float | None
     sigma_y_m: float | None
 
@@ -70,29 +66,27 @@ def read_forces(folder: Path) -> Forces:
     y0, y1 = _heights(manifest, read, numbers)
     declared = manifest.measurement
     data = Forces(
+        **vars(read),
         manifest=manifest,
         drop=numbers,
         y0_m=y0,
         y1_m=y1,
-        t_s=read.t_s,
-        force_N=read.value,
-        begins=read.begins,
         sigma_N=declared.get("sigma_force_N"),
         sigma_y_m=1e-3 * declared["sigma_y_mm"] if "sigma_y_mm" in declared else None,
     )
-    _check_units(data, read)
+    _check_units(data)
     return data
 
 
-def _check_units(data: Forces, read: Series) -> None:
+def _check_units(data: Forces) -> None:
     """InputError where forces or times cannot be in N and s."""
     manifest, gravity = data.manifest, data.manifest.gravity_m_s2
-    at = [piece.start + int(np.argmax(data.force_N[piece])) for piece in data.pieces]
-    peaks, there = data.force_N[at], [read.rows[i][0] for i in at]
-    check_peaks(read.path, there, "force_N", peaks, data.y0_m, manifest.bristle, gravity)
-    lasting = np.array([_lasting_s(data.t_s[p], data.force_N[p]) for p in data.pieces])
-    check_contact_times(read.path, there, "t_s", lasting, manifest.bristle)
-    manifest.check_sigma("sigma_force_N", 1.0, data.force_N)
+    at = [piece.start + int(np.argmax(data.value[piece])) for piece in data.pieces]
+    peaks, there = data.value[at], [data.rows[i][0] for i in at]
+    check_peaks(data.path, there, "force_N", peaks, data.y0_m, manifest.bristle, gravity)
+    lasting = np.array([_lasting_s(data.t_s[p], data.value[p]) for p in data.pieces])
+    check_contact_times(data.path, there, "t_s", lasting, manifest.bristle)
+    manifest.check_sigma("sigma_force_N", 1.0, data.value)
     manifest.check_sigma("sigma_y_mm", 1e-3, data.y0_m)
 
 

@@ -181,11 +181,11 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     sigma = data.sigma_y_px if data.in_pixels else data.sigma_y_m
     gravity = data.manifest.gravity_m_s2
     pieces = data.pieces
-    rough = _rough_sigma([data.y[piece] for piece in pieces])
+    rough = _rough_sigma([data.value[piece] for piece in pieces])
     films = [
         Film(
             _since(data, piece),
-            data.y[piece],
+            data.value[piece],
             sigma or rough,
             data.sigma_t_s,
             gravity,
@@ -200,7 +200,7 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     scale = pixel_m(films)
     if scale is None:
         raise InputError(
-            f"{data.manifest.table()}:{data.line[0]}: no gravity can be seen that half of the "
+            f"{data.at(0)}: no gravity can be seen that half of the "
             "films share, so y_px has no scale; is t_s in s, and are there three frames or more "
             "in a fall?"
         )
@@ -285,12 +285,12 @@ def _refusal(data: Tracks, films: Sequence[Film], found: Sequence[Track | None])
         over = [track(turned(film, -1), 1) for film in films]
         if _usable(over) >= LEAST_DROPS > _usable(found):
             return InputError(
-                f"{data.manifest.table()}:{data.line[first]}: y_mm falls as the body rises; "
+                f"{data.at(first)}: y_mm falls as the body rises; "
                 "heights must count upward from the surface"
             )
     unit = "y_px" if data.in_pixels else "y_mm"
     return InputError(
-        f"{data.manifest.table()}:{data.line[first]}: {_usable(found)} of {len(found)} drops show "
+        f"{data.at(first)}: {_usable(found)} of {len(found)} drops show "
         f"a fall unmistakably, that of drop {data.drop[data.begins[first]]} does not; the loop "
         f"needs {LEAST_DROPS} or more. Is t_s in s, and {unit} in {unit[2:]}?"
     )
@@ -322,7 +322,7 @@ def _left_aside(
         )
     if mistaken:
         reasons.append(
-            f"{mistaken} of {len(data.y)} frames lie farther from their films' parabolas than "
+            f"{mistaken} of {len(data.value)} frames lie farther from their films' parabolas than "
             "scatter takes them, and are not used"
         )
     return tuple(reasons)

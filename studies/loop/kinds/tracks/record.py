@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.errors import InputError
 from ....data.datasets import Manifest, read_manifest
-from ....data.tables import InPieces, Rows, column, optional_column, read_series, read_table
+from ....data.tables import Rows, Series, column, optional_column, read_series, read_table
 from ....data.units import check_marks
 
 KIND = "tracks"
@@ -20,11 +20,10 @@ LEAST_FRAMES = 6
 
 
 @dataclass(frozen=True)
-class Tracks(InPieces):
-    """Frames of all films, one after the other: ``drop``, ``t_s``, ``y`` (frames,).
+class Tracks(Series):
+    """Frames of all films, one after the other: ``value`` (frames,) is the height in m or, where
+    ``in_pixels``, in pixels.
 
-    ``y`` is in m or, where ``in_pixels``, in pixels. ``begins`` (films + 1,) says where each film's
-    frames begin, ``line`` (films,) at which line of the table. Times are those of the table.
     ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
     ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
     one, unless the table has a column of its own for it. ``sigma_surface`` is how uncertain the
@@ -34,12 +33,7 @@ class Tracks(InPieces):
     """
 
     manifest: Manifest
-    drop: NDArray[np.int64]
-    t_s: Array
-    y: Array
     in_pixels: bool
-    begins: NDArray[np.int64]
-    line: tuple[int, ...]
     sigma_y_m: float | None
     sigma_y_px: float | None
     sigma_t_s: float
@@ -48,6 +42,11 @@ class Tracks(InPieces):
     film: Array | None = None
     lean_deg: Array | None = None
     sigma_lean_deg: Array | None = None
+
+    @property
+    def drop(self) -> NDArray[np.int64]:
+        """The number of each frame's drop (frames,)."""
+        return self.number
 
     @property
     def sharing(self) -> NDArray[np.int64]:
@@ -66,11 +65,11 @@ class Tracks(InPieces):
     def without_corner(self, width: float) -> Tracks:
         """Heights less half the ``width`` that films show times sin(lean): so high is the middle of
         the end of a bristle that leans as a corner of it touches."""
-        y = self.y.copy()
+        y = self.value.copy()
         for film, lean_deg in zip(self.pieces, self.lean_before_deg[0], strict=True):
             if np.isfinite(lean_deg):
                 y[film] -= 0.5 * width * abs(float(np.sin(np.radians(lean_deg))))
-        return replace(self, y=y)
+        return replace(self, value=y)
 
     def _lean_of(self, film: slice) -> tuple[float, float]:
         part = slice(film.start, (3 * film.start + film.stop) // 4 + 1)
@@ -118,13 +117,9 @@ def read_tracks(folder: Path) -> Tracks:
         sigmas[unit], relative = _of_rows(path, read.lines, own, sigmas[unit])
     sigma_mm, sigma_px = sigmas["mm"], sigmas["px"]
     found = Tracks(
+        **vars(replace(read, value=y)),
         manifest=manifest,
-        drop=read.number,
-        t_s=read.t_s,
-        y=y,
         in_pixels=in_pixels,
-        begins=read.begins,
-        line=tuple(read.lines[i] for i in read.begins[:-1]),
         sigma_y_m=None if sigma_mm is None else 1e-3 * float(sigma_mm),
         sigma_y_px=None if sigma_px is None else float(sigma_px),
         sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
