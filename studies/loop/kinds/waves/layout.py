@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
-from .noise import Power, apart_power, quiet_power
+from .noise import Power, larger, power_of
 from .propagation import Propagation, Windows
 from .record import Waves
 from .rod import SHORTEST_WAVE, Rod
@@ -68,8 +68,7 @@ def used_band(data: Waves, rod: Rod) -> tuple[float, bool]:
     bins = max(3, int(top * len(first) * data.step_s))
     later = [each for each in later if each + len(first) <= len(data.times_s)]
     alike = Windows((data.index(begin), *later), len(first), bins, data.step_s)
-    power = _larger(quiet_power(data, data.gauge, top), apart_power(data.gauge, alike))
-    noise = np.sqrt(power(frequency))
+    noise = np.sqrt(power_of(data, data.gauge, top, alike)(frequency))
     above = np.append(spectrum > STANDS_OUT * noise, np.zeros(GAP, dtype=bool))
     run = np.array([np.any(above[i : i + GAP]) for i in range(len(spectrum))])
     drowned = np.flatnonzero(~run)
@@ -117,13 +116,6 @@ def _noises(data: Waves, whole: Propagation, windows: Windows) -> tuple[Power, P
     begin, end = (data.index(each) for each in data.first_pass_s)
     bins = min(max(3, 1 + int(whole.band_Hz * (end - begin) * data.step_s)), (end - begin) // 2)
     own = Windows((begin,), end - begin, bins, data.step_s)
-    band = whole.band_Hz
-    later = _larger(quiet_power(data, data.predicted, band), apart_power(data.predicted, windows))
-    first = _larger(quiet_power(data, data.gauge, band), apart_power(data.gauge, own))
-    return later, first if data.second is not None else _larger(first, later)
-
-
-def _larger(one: Power, other: Power | None) -> Power:
-    if other is None:
-        return one
-    return lambda frequency_Hz: np.maximum(one(frequency_Hz), other(frequency_Hz))
+    later = power_of(data, data.predicted, whole.band_Hz, windows)
+    first = power_of(data, data.gauge, whole.band_Hz, own)
+    return later, first if data.second is not None else larger(first, later)

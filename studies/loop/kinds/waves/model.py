@@ -200,8 +200,3 @@ class WaveModel:
             self.rows(self.spectra(flat[i : i + AT_ONCE])) for i in range(0, len(flat), AT_ONCE)
         ]
         return np.concatenate(parts).reshape(*theta.shape[:-1], 1, -1)
-
-
-def real_synthesis(synthesis: Complex) -> Array:
-    """For real and imaginary parts side by side, (2 frequencies, rows): the real part counts."""
-    return np.concatenate([synthesis.real, -synthesis.imag])

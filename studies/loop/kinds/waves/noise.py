@@ -94,10 +94,12 @@ def _smooth(frequency: Array, power: Array) -> Power:
     return at
 
 
-def apart_power(gauge: Gauge, windows: Windows) -> Power | None:
-    """The same from the half-difference of gauges on opposite faces; None where there is none."""
+def power_of(data: Waves, gauge: Gauge, band_Hz: float, windows: Windows) -> Power:
+    """The larger of `quiet_power` and what the half-difference of gauges on opposite faces has in
+    the windows, where there are two."""
+    quiet = quiet_power(data, gauge, band_Hz)
     if gauge.difference is None:
-        return None
+        return quiet
     squares = windows.components(gauge.difference).reshape(-1, windows.rows) ** 2
     mean = squares.mean(axis=0)
     power = np.concatenate([mean[:1], 0.5 * (mean[1::2] + mean[2::2])])
@@ -106,7 +108,12 @@ def apart_power(gauge: Gauge, windows: Windows) -> Power | None:
     error = math.sqrt(1.0 / (3.0 * len(windows.begins)))
     frequency = np.arange(windows.bins) / (windows.samples * windows.step_s)
     corrected = smooth * (1.0 + error)
-    return lambda frequency_Hz: np.interp(frequency_Hz, frequency, corrected)
+    return larger(quiet, lambda frequency_Hz: np.interp(frequency_Hz, frequency, corrected))
+
+
+def larger(one: Power, other: Power) -> Power:
+    """The larger of both at each frequency."""
+    return lambda frequency_Hz: np.maximum(one(frequency_Hz), other(frequency_Hz))
 
 
 @dataclass(frozen=True)

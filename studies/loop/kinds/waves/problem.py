@@ -18,13 +18,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from ...problem import Model, Problem, carried
 from .layout import MOST_BINS, Layout, lay_out, used_band
-from .model import (
-    WaveModel,
-    baseline_parameters,
-    effect_parameters,
-    material_declared,
-    real_synthesis,
-)
+from .model import WaveModel, baseline_parameters, effect_parameters, material_declared
 from .noise import Whitening, whitening
 from .propagation import MOST_TURNS, Propagation
 from .record import Waves, read_waves
@@ -59,8 +53,8 @@ def wave_problem(data: Waves) -> Problem:
     baseline = baseline_parameters(data, start.value("wave_speed_m_s"), start.value("beta_s"))
     layout = lay_out(whole, baseline[0].typical)
     plain = whole.synthesis(layout.windows)
-    white = _whitening(replace(start.model, synthesis=real_synthesis(plain)), start, layout)
-    model = WaveModel(whole, baseline, real_synthesis(plain) @ white.factor.T)
+    white = _whitening(replace(start.model, synthesis=plain), start, layout)
+    model = WaveModel(whole, baseline, plain @ white.factor.T)
     possible = effect_parameters(data)
 
     def combine(effects: Sequence[str]) -> WaveModel:

@@ -165,8 +165,9 @@ class Propagation:
             pass_alone = driving - self.first_window(after * pass_alone)
         return pass_alone
 
-    def synthesis(self, windows: Windows) -> Complex:
-        """What turns spectra (..., frequencies) into the windows' rows, (frequencies, rows)."""
+    def synthesis(self, windows: Windows) -> Array:
+        """What turns real and imaginary parts of a spectrum, side by side, into the windows' rows,
+        (2 frequencies, rows)."""
         step = self.data.step_s
         weight = np.full(len(self.omega), 2.0 / self.padded)
         weight[0] *= 0.5
@@ -176,7 +177,8 @@ class Propagation:
         each = [np.fft.rfft(row * growth, self.padded)[:count].conj() for row in windows.basis]
         delays = step * (np.array(windows.begins) - self.begin)
         blocks = [weight * np.exp(1j * self.omega * delay) * each for delay in delays]
-        return np.asarray(np.concatenate(blocks).T)
+        whole = np.concatenate(blocks).T
+        return np.concatenate([whole.real, -whole.imag])
 
     def in_time(self, spectrum: Complex) -> Array:
         """The signal (samples,) over all of the record, zero before the first pass."""

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from .....solver.arrays import Array
 from .....solver.effects.base import Parameter
 from ...fit import differences, to_theta, to_unit
-from .model import AT_ONCE, SPEEDS_M_S, WaveModel, material_declared, real_synthesis
+from .model import AT_ONCE, SPEEDS_M_S, WaveModel, material_declared
 from .propagation import Propagation, Windows
 
 TURN_RAD = 0.5
@@ -89,8 +89,7 @@ def _as_one(carried: Propagation, baseline: tuple[Parameter, ...]) -> tuple[Wave
     begin, end = (data.index(each) for each in data.predict_s)
     bins = int(carried.band_Hz * (end - begin) * data.step_s) + 1
     windows = Windows((begin,), end - begin, max(3, min(bins, MOST_BINS)), data.step_s)
-    rows = real_synthesis(carried.synthesis(windows))
-    model = WaveModel(carried, baseline, rows, ("lateral_inertia",))
+    model = WaveModel(carried, baseline, carried.synthesis(windows), ("lateral_inertia",))
     return model, windows.components(data.predicted.signal)
 
 
