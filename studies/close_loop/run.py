@@ -235,12 +235,7 @@ def verdict(closed: Closed) -> dict[str, Any]:
         "tests": plain(finding.tests),
         "tests_after": plain(finding.tests_after),
         "evidence": [
-            {
-                "effects": list(each.effects),
-                "log_evidence": each.log_evidence,
-                "left_p_value": each.left_p_value,
-                "why_not": each.why_not,
-            }
+            {key: value for key, value in plain(each).items() if key != "theta"}
             for each in finding.evidences
         ],
         "unlisted": {"shape": finding.shape, "log_evidence": finding.unlisted},
