@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 
 import numpy as np
@@ -56,23 +56,14 @@ def reduced_solid(
     """
     from ....inputs.config import DropInputs
 
-    section, material = bristle.section, bristle.material
-    sides: dict[str, float] = {}
-    if isinstance(section, Rectangle):
-        sides = {"thickness_m": section.thickness_m, "width_m": section.width_m}
-    elif isinstance(section, Circle):
-        sides = {"diameter_m": section.diameter_m}
+    section = bristle.section
     inputs = checked(
         DropInputs,
         {
             "model": Model.REDUCED,
             "length_m": bristle.length_m,
-            **sides,
-            "youngs_Pa": material.youngs_Pa,
-            "poisson": material.poisson,
-            "density_kg_m3": material.density_kg_m3,
-            "beta_s": material.beta_s,
-            "alpha_1_s": material.alpha_1_s,
+            **(asdict(section) if isinstance(section, Rectangle | Circle) else {}),
+            **asdict(bristle.material),
             "gravity_m_s2": gravity_m_s2,
             "its_s": ITS_S,
             "tilt_deg": ANY_LEAN_DEG if leaning else 0.0,
