@@ -48,13 +48,9 @@ class Confirmation:
 
     def keys(self) -> dict[str, Any]:
         """``confirmed_in_3d`` and ``confirmed_in_3d_why`` of verdict.json."""
-        if self.solid is None:
-            return {"confirmed_in_3d": None, "confirmed_in_3d_why": self.why}
-        errors = {"rms_before": self.solid.rms_before, "rms_after": self.solid.rms_after}
-        return {
-            "confirmed_in_3d": {**errors, "unit": self.solid.unit},
-            "confirmed_in_3d_why": None,
-        }
+        names = ("rms_before", "rms_after", "unit")
+        errors = self.solid and {name: getattr(self.solid, name) for name in names}
+        return {"confirmed_in_3d": errors, "confirmed_in_3d_why": self.why}
 
     def doubts(self, held: HeldOut | None) -> list[str]:
         """That the 3-D model predicts the ``held`` data far worse than the fitted one, in words."""

@@ -57,10 +57,9 @@ MOST_LABELS = 30
     ylim=(0, None),
 )
 def noise_figure(ax: Axes, before: Array, after: Array, bins: Array) -> None:
-    """Shares of residuals (rows,) in standard deviations by ``bins``, and the normal density."""
-    for values, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
-        share, _ = np.histogram(np.clip(values, bins[0], bins[-1]), bins)
-        ax.stairs(share / len(values) / np.diff(bins), bins, color=colour, label=label, lw=1.4)
+    """Counts of residuals in standard deviations by ``bins``, and the normal density."""
+    for count, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
+        ax.stairs(count / count.sum() / np.diff(bins), bins, color=colour, label=label, lw=1.4)
     x = np.linspace(bins[0], bins[-1], 200)
     normal = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     ax.plot(x, normal, color=GREY, ls="--", lw=1.0, label="normal, as declared")

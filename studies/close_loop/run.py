@@ -250,15 +250,13 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [("verdict", content["verdict"])]
     if names:
         rows.append(("effects", ", ".join(names)))
-    told = content["in_words"][: 2 if content["lead"] else 1]
-    rows += zip(["in words", ""], told, strict=False)
-    few = content["few_data"]
-    if few is not None:
-        told = on_few(few)
-        rows += zip(["few data", *[""] * len(told)], told, strict=False)
-    elif content["verdict"] == "adequate" and content["would_have_shown"]:
-        labels = ["would have shown", *[""] * len(content["would_have_shown"])]
-        rows += zip(labels, content["would_have_shown"], strict=False)
+    told = {"in words": content["in_words"][: 2 if content["lead"] else 1]}
+    if content["few_data"] is not None:
+        told["few data"] = on_few(content["few_data"])
+    elif content["verdict"] == "adequate":
+        told["would have shown"] = content["would_have_shown"]
+    for label, lines in told.items():
+        rows += zip([label, *[""] * len(lines)], lines, strict=False)
     first, last = content["detection"]["p_value"], content["open_set"]["p_value"]
     chance = f"{p_text(first)}: chance makes data as odd as these {times(first)}"
     if content["verdict"] != "adequate" and first > content["alarm"]:

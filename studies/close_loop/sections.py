@@ -82,7 +82,7 @@ def _noise(closed: Closed) -> Section:
     draft = prose("noise", declared=problem.sigma_declared, noise=noise, notes=problem.notes)
     before, after = (np.histogram(np.clip(x, BINS[0], BINS[-1]), BINS)[0] for x in closed.left)
     counts = {"from_sigma": BINS[:-1], "to_sigma": BINS[1:], "before": before, "after": after}
-    drawn = figures.noise_figure(*closed.left, BINS)
+    drawn = figures.noise_figure(before, after, BINS)
     draft.figure("noise", drawn, draft.data("residual_histogram", counts))
     values = pd.DataFrame({"quantity": problem.quantity, "sigma": problem.scale / closed.unit})
     by_quantity = values.groupby("quantity", sort=False).sigma
