@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import permutations
 
 import numpy as np
 
@@ -39,14 +40,10 @@ def _gain(experiment: Experiment, tied: Sequence[Posterior]) -> float:
     models = [
         refined_as(experiment.models(each.fitted.effects), each.fitted.u.size) for each in tied
     ]
-    gains = []
-    for truth, made in zip(tied, models, strict=True):
-        target = _seen(made, truth.fitted.u)
-        gains += [
-            _distance(model, other, target) / 2
-            for other, model in zip(tied, models, strict=True)
-            if other is not truth
-        ]
+    gains = [
+        _distance(model, other, _seen(made, truth.fitted.u)) / 2
+        for (truth, made), (other, model) in permutations(zip(tied, models, strict=True), 2)
+    ]
     return float(np.mean(gains))
 
 
