@@ -45,24 +45,18 @@ def material_declared(data: Waves) -> bool:
     return not declared or {"youngs_modulus_Pa", "density_kg_m3"} <= set(declared)
 
 
-def speed_bounds(data: Waves) -> tuple[float, float]:
-    """Least and greatest speed of slow waves, in m/s."""
-    if not material_declared(data):
-        return SPEEDS_M_S
-    speed = data.manifest.bristle.material.bar_speed_m_s
-    return (1 - ALLOY) * speed, (1 + ALLOY) * speed
-
-
 def baseline_parameters(data: Waves, speed_m_s: float, beta_s: float) -> tuple[Parameter, ...]:
     """The baseline's free parameters; the search starts at this speed and this damping.
 
     The offset is left out where one arrival at a second gauge is all there is: it is a speed then.
     """
-    low, high = speed_bounds(data)
-    inside = float(np.clip(speed_m_s, low + 0.01 * (high - low), high - 0.01 * (high - low)))
+    declared = data.manifest.bristle.material.bar_speed_m_s
+    low, high = (1 - ALLOY) * declared, (1 + ALLOY) * declared
     why = "handbook moduli and densities of one alloy differ by this much"
     if not material_declared(data):
+        low, high = SPEEDS_M_S
         why = "any metal: modulus and density are not both declared"
+    inside = float(np.clip(speed_m_s, low + 0.01 * (high - low), high - 0.01 * (high - low)))
     gauge, length = data.predicted, data.manifest.bristle.length_m
     off = GAUGE_ERROR_M if gauge.placed else max(GAUGE_ERROR_M, UNPLACED * length)
     off = min(off, 0.5 * gauge.x_m, 0.5 * (length - gauge.x_m))
