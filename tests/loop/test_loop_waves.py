@@ -167,7 +167,10 @@ def relative_residual(model, theta, passes=None):
             first, last = (begin + (end - begin) * k // count for k in (each - 2, each - 1))
             chosen[first:last] = True
     signal = data.predicted.signal[chosen]
-    predicted = whole.in_time(model.spectra(theta))[chosen]
+    spectrum = np.pad(model.spectra(theta), (0, whole.padded // 2 + 1 - len(whole.omega)))
+    late = np.fft.irfft(spectrum, whole.padded)
+    late *= np.exp(whole.damping * data.step_s * np.arange(whole.padded))
+    predicted = late[np.flatnonzero(chosen) - whole.begin]
     return float(np.linalg.norm(signal - predicted) / np.linalg.norm(signal))
 
 

@@ -179,13 +179,3 @@ class Propagation:
         blocks = [weight * np.exp(1j * self.omega * delay) * each for delay in delays]
         whole = np.concatenate(blocks).T
         return np.concatenate([whole.real, -whole.imag])
-
-    def in_time(self, spectrum: Complex) -> Array:
-        """The signal (samples,) over all of the record, zero before the first pass."""
-        signal = np.fft.irfft(np.pad(spectrum, (0, self.padded // 2 + 1 - len(spectrum))),
-                              self.padded)  # fmt: skip
-        late = signal * np.exp(self.damping * self.data.step_s * np.arange(self.padded))
-        whole = np.zeros(len(self.data.times_s))
-        count = min(self.padded, len(whole) - self.begin)
-        whole[self.begin : self.begin + count] = late[:count]
-        return whole
