@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -41,10 +40,6 @@ class Errors:
     ) -> Errors:
         """Of quantities (q,) whose errors have nothing in common yet."""
         return cls(sigma, sigma_y0_m, present, np.diag(1.0 / sigma)[None].repeat(len(present), 0))
-
-    def of(self, which: Sequence[int]) -> Errors:
-        """Those of the drops numbered ``which``, whitened by the data's slopes."""
-        return replace(self.only(np.array(which, dtype=np.int64)), values=None)
 
     def only(self, which: Ints) -> Errors:
         """Those of the drops numbered ``which``."""

@@ -135,7 +135,7 @@ def whitened_solid(
     part = replace(
         model,
         drops=model.drops.of(which),
-        errors=model.errors.of([int(i) for i in which]),
+        errors=replace(model.errors.only(which), values=None),
         correction=None,
     )
     at = np.asarray(theta, dtype=float)
