@@ -82,7 +82,7 @@ def confirm(finding: Finding) -> Confirmation:
     base = np.array(finding.evidences[0].theta)
     try:
         before = after = problem.confirm(problem.baseline, base, groups)
-        if finding.model_effects:
+        if finding.model.effects:
             after = problem.confirm(finding.model, finding.theta, groups)
     except BristleError as error:
         return Confirmation(None, f"the 3-D model failed: {error}")

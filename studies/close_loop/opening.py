@@ -61,7 +61,7 @@ def opening(finding: Finding) -> list[str]:
     told = [_verdict(finding), _chance(finding)]
     if finding.lead:
         told.insert(0, f"Before all: {finding.lead}" + "." * (finding.lead[-1] not in ".?"))
-    if finding.held_out is not None and finding.model_effects:
+    if finding.held_out is not None and finding.model.effects:
         told.append(_held(finding, finding.held_out))
     return told
 

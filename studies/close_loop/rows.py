@@ -80,7 +80,7 @@ class Closed:
         last the reported model's."""
         finding = self.finding
         fitted = [(self.problem.baseline, np.array(finding.evidences[0].theta))]
-        if finding.model_effects:
+        if finding.model.effects:
             fitted.append((finding.model, finding.theta))
         return [(np.asarray(model.weights), model.predict(theta)) for model, theta in fitted]
 

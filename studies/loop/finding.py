@@ -157,11 +157,6 @@ class Finding:
         return tuple(names for names in self.reported if len(names) > 1)
 
     @property
-    def model_effects(self) -> tuple[str, ...]:
-        """The reported model's."""
-        return self.model.effects
-
-    @property
     def effects(self) -> tuple[str, ...]:
         """The reported effects, the likeliest first."""
         return tuple(sorted(self.weights, key=lambda name: -self.weights[name]))

@@ -106,8 +106,7 @@ def refined_as(model: Model, parameters: int) -> Model:
 class Experiment:
     """A measurement that could be made next.
 
-    ``models`` builds, for the names of effects, a `Model` that predicts what it would give, and
-    ``rows`` says how many whitened values that is.
+    ``models`` builds, for the names of effects, a `Model` that predicts what it would give.
     """
 
     change: str
