@@ -61,11 +61,12 @@ class Filmed:
 def filmed(data: Tracks) -> Filmed:
     """The films of a dataset. Raises InputError where too few can be used."""
     pixel, films = _in_metres(data)
-    bounces = MOST_BOUNCES if _bounces_upright(data) else 1
+    # a ball bounces again as it did first, a bristle rings and leans
+    bounces = MOST_BOUNCES if isinstance(data.manifest.body, RigidMass) else 1
     films, found, warnings = _over_a_surface(films, bounces)
     straying = _straying(found)
     found = [None if i in straying else each for i, each in enumerate(found)]
-    declared = _declared(data)
+    declared = data.sigma_y_m is not None or (data.in_pixels and data.sigma_y_px is not None)
     # the rough uncertainty with which the search began is mended twice
     for _ in range(0 if declared else 2):
         by = np.sqrt(_scatter(found)[0])
@@ -165,15 +166,6 @@ def faster(film: Film, found: Track, fps: float) -> Track:
     phase, held = phases(more, found.p)
     predicted = heights(found.p, t, phase, film.gravity_m_s2)
     return reduced(replace(more, y_m=predicted), found.p, phase, held)
-
-
-def _bounces_upright(data: Tracks) -> bool:
-    """Whether a body bounces again as it did first: a ball does, a bristle rings and leans."""
-    return isinstance(data.manifest.body, RigidMass)
-
-
-def _declared(data: Tracks) -> bool:
-    return data.sigma_y_m is not None or (data.in_pixels and data.sigma_y_px is not None)
 
 
 def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
