@@ -105,10 +105,8 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
         return groups[~apart], groups[apart]
     if groups.size < LEAST_GROUPS:
         return groups, groups[:0]
-    height = first_of(problem.covariates, HEIGHT)
-    key = np.zeros(groups.size)
-    if height is not None:
-        key = np.array([np.mean(height[problem.group == g]) for g in groups])
+    height = first_of(problem.covariates, HEIGHT, np.zeros(problem.group.size))
+    key = np.array([np.mean(height[problem.group == g]) for g in groups])
     order = np.lexsort((rng.random(groups.size), np.round(key, 12)))
     blocks = np.array_split(order, max(1, groups.size // 4))
     chosen = np.array([int(rng.choice(block)) for block in blocks])

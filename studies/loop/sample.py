@@ -218,25 +218,22 @@ def estimated_units(problem: Problem, groups: Ints, fitted: Array) -> Array:
     """
     unit = np.ones(problem.values.size)
     residual = problem.values - fitted
-    height = first_of(problem.covariates, HEIGHT)
+    height = first_of(problem.covariates, HEIGHT, np.arange(problem.values.size))
     chosen = np.isin(problem.group, groups)
     for name in np.unique(problem.quantity):
         mine = np.flatnonzero((problem.quantity == name) & chosen)
-        spread = _replicate_spread(residual[mine], None if height is None else height[mine])
+        spread = _replicate_spread(residual[mine], height[mine])
         unit[problem.quantity == name] = 1 / max(spread, 1e-12)
     return unit
 
 
-def _replicate_spread(residual: Array, height: Array | None) -> float:
+def _replicate_spread(residual: Array, height: Array) -> float:
     pieces = []
-    if height is not None:
-        for level in np.unique(height):
-            same = residual[height == level]
-            if same.size >= 3:
-                pieces.append((same - np.median(same)) * np.sqrt(same.size / (same.size - 1)))
-        ordered = residual[np.argsort(height, kind="stable")]
-    else:
-        ordered = residual
+    for level in np.unique(height):
+        same = residual[height == level]
+        if same.size >= 3:
+            pieces.append((same - np.median(same)) * np.sqrt(same.size / (same.size - 1)))
+    ordered = residual[np.argsort(height, kind="stable")]
     if sum(piece.size for piece in pieces) >= 10:
         return float(1.4826 * np.median(np.abs(np.concatenate(pieces))))
     if ordered.size < 3:

@@ -62,22 +62,22 @@ class Scatter:
         fitted = fit_baseline(sample(problem, np.unique(problem.group)), problem.baseline)
         model = problem.baseline
         mean = np.asarray(model.weights) @ np.asarray(model.predict(fitted.theta))
-        along = [first_of(problem.covariates, names) for names in (HEIGHT, BETWEEN)]
+        none = np.zeros(problem.values.size)
+        along = [first_of(problem.covariates, names, none) for names in (HEIGHT, BETWEEN)]
         found = []
         for name in dict.fromkeys(problem.quantity):
             mine = np.flatnonzero(problem.quantity == name)
-            x = [None if each is None else np.asarray(each)[mine] for each in along]
+            x = [_unit(np.asarray(each)[mine]) for each in along]
             one = cls._of(str(name), problem, mine, (problem.values - mean)[mine], x)
             found += [one] if one is not None else []
         return found
 
     @classmethod
     def _of(
-        cls, name: str, problem: Problem, mine: Ints, left: Array, along: Sequence[Array | None]
+        cls, name: str, problem: Problem, mine: Ints, left: Array, x: Sequence[Array]
     ) -> Self | None:
         """That of the quantity in the rows ``mine``, of which ``left`` is left; over height and
-        order ``along``."""
-        x = [np.zeros(mine.size) if each is None else _unit(each) for each in along]
+        order ``x``, from −1 to 1."""
         course = np.stack([x[0] ** i * x[1] ** j for i, j in TERMS], axis=1)
         rank = int(np.linalg.matrix_rank(course))
         if mine.size < ENOUGH * rank:
