@@ -142,8 +142,6 @@ def _sampled(
 def _maxima(data: Sample, fitted: Fitted) -> list[Fitted]:
     """The fit, and those of its other modes that are maxima under its noise too."""
     again = [fit(data, fitted.model, u, fitted.noise) for u in fitted.modes]
-    if not again:
-        return [fitted]
     heights = np.array([each.log_likelihood for each in again])
     return [fitted, *(again[i] for i in others(fitted, np.array([e.u for e in again]), heights))]
 
