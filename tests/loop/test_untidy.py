@@ -157,15 +157,16 @@ def test_what_may_have_been_meant():
 def test_residuals_of_a_drop_are_whitened_for_any_slope():
     """Against draws: unit variance and no correlation, a quantity that was not read left out."""
     rng = np.random.default_rng(2)
-    sigma, sigma_0 = np.array([3e-4, 2e-6]), 4e-4
-    errors = Errors.independent(sigma, np.array([[True, True], [True, False]]), sigma_0)
-    slopes = np.array([[0.6, 3e-3], [0.6, 3e-3]])
+    sigma, sigma_0 = np.array([3e-4, 2e-6, 0.5]), 4e-4
+    present = np.array([[True, True, True], [True, False, True]])
+    errors = Errors.independent(sigma, present, sigma_0)
+    slopes = np.tile([0.6, 3e-3, 1e3], (2, 1))
     heights = sigma_0 * rng.normal(size=(200_000, 2, 1))
-    left = sigma * rng.normal(size=(200_000, 2, 2)) - slopes * heights
+    left = sigma * rng.normal(size=(200_000, 2, 3)) - slopes * heights
     left[:, 1, 1] = np.nan
     rows = errors.whitened(left, slopes)[:, errors.present]
-    assert rows.shape == (200_000, 3)
-    assert np.cov(rows.T) == pytest.approx(np.eye(3), abs=0.02)
+    assert rows.shape == (200_000, 5)
+    assert np.cov(rows.T) == pytest.approx(np.eye(5), abs=0.02)
     as_matrix = replace(errors, whiten=errors.factors(slopes)).rows(left)
     np.testing.assert_allclose(as_matrix, rows, atol=1e-12)
 

@@ -110,21 +110,28 @@ def whitened(
     sigma: Array,
     sigma_y0_m: float,
 ) -> Array:
-    """`Errors.whitened` (n, drops, q), see there; division takes most of the time."""
-    out = np.empty((len(measured), *values.shape))
+    """`Errors.whitened` (n, drops, q), see there."""
+    drops, out = len(values), np.empty((len(measured), *values.shape))
+    known, told, left, moved = np.empty(drops), np.empty(drops), np.empty(drops), np.empty(drops)
     for i in range(len(measured)):
-        for drop in range(len(values)):
-            known, told = 1.0, 0.0
-            for q in range(len(sigma)):
-                left, slope = values[drop, q], 0.0
+        known[:], told[:] = 1.0, 0.0
+        for q in range(len(sigma)):
+            unit, there = 1.0 / sigma[q], present[:, q].copy()
+            for drop in range(drops):
+                value, slope = values[drop, q], 0.0
                 for k in range(place.shape[1]):
-                    left -= share[drop, k] * measured[i, place[drop, k], q]
+                    value -= share[drop, k] * measured[i, place[drop, k], q]
                     slope += share[drop, k] * slopes[i, place[drop, k], q]
-                out[i, drop, q] = left
-                if present[drop, q]:
-                    moved, own = sigma_y0_m * slope, sigma[q] * sigma[q]
-                    ratio, weight = moved / known, moved / own
-                    out[i, drop, q] = (left - ratio * told) / math.sqrt(own + moved * ratio)
-                    told += weight * left
-                    known += weight * moved
+                left[drop], moved[drop] = value, unit * sigma_y0_m * slope
+            # with a division that is not tested for zero, so that this is vectorised
+            for drop in range(drops):
+                value = unit * left[drop] if there[drop] else 0.0
+                slope = moved[drop] if there[drop] else 0.0
+                more = known[drop] + slope * slope
+                own = value * known[drop] - slope * told[drop]
+                own = np.divide(own, math.sqrt(known[drop] * more))
+                left[drop] = own if there[drop] else left[drop]
+                told[drop] += slope * value
+                known[drop] = more
+            out[i, :, q] = left
     return out
