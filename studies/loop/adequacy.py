@@ -414,9 +414,12 @@ def _two_states(z: Array, patterns: list[Array]) -> Array:
             odds = (
                 np.log(share / (1.0 - share)) - 0.5 * (1.0 - 2.0 * share) * (shift * pattern) ** 2
             )
-            plain = rows * np.log1p(-share) - single
+            other = float(np.log1p(-share))
+            way = middle * pattern, other, best + single
+            found = _softplus(own, shift * pattern, odds, softplus_table(), *way)
+            plain = rows * other - single
             plain = plain - 0.5 * (square + 2.0 * middle * load + middle**2 * size)
-            best = np.maximum(best, plain + _softplus(own, shift * pattern, odds, softplus_table()))
+            best = np.maximum(best, plain + found)
     return best
 
 
@@ -427,11 +430,18 @@ def softplus_table() -> Array:
 
 
 @njit
-def _softplus(z: Array, slope: Array, level: Array, table: Array) -> Array:
-    """Sums (sets,) over rows of log(1 + e^x), x being slope z + level (rows,), from its table."""
-    out = np.empty(z.shape[0])
+def _softplus(
+    z: Array, slope: Array, level: Array, table: Array, middle: Array, other: float, least: Array
+) -> Array:
+    """Sums (sets,) over rows of log(1 + e^x), x being slope z + level (rows,), from its table.
+
+    Minus infinity where these, with ``other`` and less half the square of z + ``middle`` (rows,),
+    which is the log likelihood of a row and never above zero, sum to less than ``least`` (sets,):
+    the rows that are left need not be looked at then.
+    """
+    out = np.full(z.shape[0], -np.inf)
     for k in range(z.shape[0]):
-        total = 0.0
+        total, apart = 0.0, 0.0
         for row in range(z.shape[1]):
             x = slope[row] * z[k, row] + level[row]
             if x > ODDS:
@@ -440,7 +450,11 @@ def _softplus(z: Array, slope: Array, level: Array, table: Array) -> Array:
                 at = (x + ODDS) / ODDS_STEP
                 low = int(at)
                 total += table[low] + (at - low) * (table[low + 1] - table[low])
-        out[k] = total
+            apart += 0.5 * (z[k, row] + middle[row]) ** 2 - other
+            if total - apart < least[k]:
+                break
+        else:
+            out[k] = total
     return out
 
 
