@@ -19,7 +19,7 @@ from scipy.special import softmax
 
 from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
-from .noise import influence, log_density_at, score_table
+from .noise import LEAST_CURVE, influence, log_density_at, over_nodes, score_table
 from .problem import Model
 from .sample import Sample
 
@@ -155,28 +155,32 @@ class Chosen(Model, Protocol):
         ...
 
 
-def differences(predict: Callable[[Array], Array], u: Array, step: Array) -> tuple[Array, Array]:
+def differences(
+    predict: Callable[[Array], Array], u: Array, step: Array, here: Array | None = None
+) -> tuple[Array, Array]:
     """What ``predict`` makes of points ``u`` (n, p) of the unit box, (n, ...), and its slopes
     (n, p, ...) in the first coordinates, by differences of ``step`` (n, up to p), which point
     inward at a bound.
 
-    ``predict`` takes points (..., p).
+    ``predict`` takes points (..., p). What it makes of ``u`` may be known: ``here``.
     """
     count = step.shape[1]
     signed = np.where(u[:, :count] + step > 1.0, -step, step)
     points = np.repeat(u[:, None, :], count + 1, axis=1)
     moved = np.arange(count)
     points[:, moved + 1, moved] += signed
-    every = predict(points)
-    return every[:, 0], (every[:, 1:] - every[:, :1]) / signed.reshape(
-        *signed.shape, *(1,) * (every.ndim - 2)
-    )
+    every = predict(points if here is None else points[:, 1:])
+    if here is None:
+        here, every = every[:, 0], every[:, 1:]
+    return here, (every - here[:, None]) / signed.reshape(*signed.shape, *(1,) * (every.ndim - 2))
 
 
-def differentiate(data: Sample, model: Model, u: Array, step: Array) -> tuple[Array, Array]:
+def differentiate(
+    data: Sample, model: Model, u: Array, step: Array, here: Array | None = None
+) -> tuple[Array, Array]:
     """Predictions (starts, nodes, rows) and slopes (starts, nodes, rows, p) by `differences`."""
     base, slopes = differences(
-        lambda points: data.predict(model, to_theta(model.parameters, points)), u, step
+        lambda points: data.predict(model, to_theta(model.parameters, points)), u, step, here
     )
     return base, np.moveaxis(slopes, 1, -1)
 
@@ -191,28 +195,24 @@ def _newton(
     e = grid.filtered(residual, centre[:, None, :], noise)
     each = np.moveaxis(slopes, -1, 0)
     mean = np.einsum("j,psjr->psr", weights, each)[:, :, None]
-    tangent = np.moveaxis(grid.filtered(each, mean, noise), 0, -1)
+    tangent = grid.filtered(each, mean, noise)
     shape = int(grid.shape[noise])
-    psi = influence(e, shape)
-    curve = np.where(np.abs(e) > 1e-6, psi / np.where(e == 0, 1.0, e), 1.0)
-    curve = np.maximum(curve, 0.05)
     if weights.size == 1:
-        t = tangent[:, 0]
-        gradient = -np.einsum("sr,srp->sp", psi[:, 0], t)
-        return gradient, np.einsum("sr,srp,srq->spq", curve[:, 0], t, t, optimize=True)
+        e, t = e[:, 0], tangent[:, :, 0]
+        psi = influence(e, shape)
+        curve = np.where(np.abs(e) > 1e-6, psi / np.where(e == 0, 1.0, e), 1.0)
+        curve = np.maximum(curve, LEAST_CURVE)
+        gradient = -np.einsum("sr,psr->sp", psi, t)
+        return gradient, np.einsum("sr,psr,qsr->spq", curve, t, t, optimize=True)
     share = node_shares(data, e, weights, shape)
-    first = data.starts[:-1]
-    scores = np.add.reduceat(psi[..., None] * tangent, first, axis=2)
-    mean_score = np.einsum("sjg,sjgp->sgp", share, scores)
-    by_row = share[:, :, data.group]
-    complete = np.einsum("sjr,sjrp,sjrq->spq", by_row * curve, tangent, tangent, optimize=True)
-    lost = np.einsum("sjg,sjgp,sjgq->spq", share, scores, scores, optimize=True)
-    lost -= np.einsum("sgp,sgq->spq", mean_score, mean_score)
-    outer = np.einsum("sgp,sgq->spq", mean_score, mean_score)
-    exact = complete - lost
+    score, exact = over_nodes(
+        e, np.ascontiguousarray(tangent), share, data.starts, score_table()[0][shape]
+    )
+    outer = np.einsum("sgp,sgq->spq", score, score)
+    exact += outer
     # Far from the optimum the exact curvature need not be positive; the scores' own always is.
     bad = np.linalg.eigvalsh(exact)[:, 0] <= 1e-3 * np.trace(exact, axis1=1, axis2=2)
-    return -mean_score.sum(axis=1), np.where(bad[:, None, None], outer, exact)
+    return -score.sum(axis=1), np.where(bad[:, None, None], outer, exact)
 
 
 def node_shares(data: Sample, e: Array, weights: Array, shape: int) -> Array:
@@ -238,26 +238,30 @@ def fit(
     def likelihood(base: Array) -> Array:
         return data.log_likelihood(values, base, weights, (zero, case, zero + noise))
 
-    step = np.full((count, p), STEP)
-    base, slopes = differentiate(data, model, u, step)
+    base, slopes = differentiate(data, model, u, np.full((count, p), STEP))
     height = likelihood(base)
     damping = np.asarray(np.full(count, 1e-2))
+    gradient, curve = np.empty((count, p)), np.empty((count, p, p))
+    better: NDArray[np.bool_] = np.full(count, True)
     for _ in range(iterations):
-        gradient, curve = _newton(data, model, values[:, None, :], base, slopes, noise)
+        if better.any():
+            gradient[better], curve[better] = _newton(
+                data, model, values[:, None, :], base[better], slopes[better], noise
+            )
         move = _bounded_step(u, gradient, curve, damping)
         trial = np.clip(u + move, 0.0, 1.0)
         if np.all(np.abs(trial - u) < 1e-9):
             break
-        size = np.sqrt(np.maximum(np.einsum("spp->sp", curve), 1e-30))
-        trial_base, trial_slopes = differentiate(
-            data, model, trial, np.clip(0.05 / size, 1e-7, 1e-3)
-        )
-        found = likelihood(trial_base)
+        there = data.predict(model, to_theta(model.parameters, trial))
+        found = likelihood(there)
         better = found >= height
         gain = np.where(better, found - height, 0.0)
-        u = np.where(better[:, None], trial, u)
-        base = np.where(better[:, None, None], trial_base, base)
-        slopes = np.where(better[:, None, None, None], trial_slopes, slopes)
+        if better.any():
+            size = np.sqrt(np.maximum(np.einsum("spp->sp", curve[better]), 1e-30))
+            u, step = np.where(better[:, None], trial, u), np.clip(0.05 / size, 1e-7, 1e-3)
+            base[better], slopes[better] = differentiate(
+                data, model, u[better], step, there[better]
+            )
         height = np.where(better, found, height)
         done = better & (gain < 1e-5)
         damping = np.where(better, damping / 8, np.minimum(damping * 8, 1e8))
@@ -295,10 +299,11 @@ def _bounded_step(u: Array, gradient: Array, curve: Array, damping: Array) -> Ar
 def _finish(
     data: Sample, model: Model, u: Array, base: Array, slopes: Array, height: float, noise: int
 ) -> Fitted:
-    _, curve = _newton(data, model, data.values[None, None, :], base[None], slopes[None], noise)
-    information = curve[0]
     if np.asarray(model.weights).size == 1:
         information = expected_information(data, slopes[0], noise)
+    else:
+        values = data.values[None, None, :]
+        information = _newton(data, model, values, base[None], slopes[None], noise)[1][0]
     names = [each.name for each in model.parameters]
     values, vectors = np.linalg.eigh(information)
     unseen = {

@@ -24,9 +24,17 @@ from bristle.studies.loop.adequacy import (
     p_values,
 )
 from bristle.studies.loop.finding import Finding, Verdict
-from bristle.studies.loop.fit import Fitted, fit, settle, to_box, to_theta
+from bristle.studies.loop.fit import (
+    Fitted,
+    _newton,
+    differentiate,
+    fit,
+    settle,
+    to_box,
+    to_theta,
+)
 from bristle.studies.loop.heldout import Judge, split
-from bristle.studies.loop.noise import MOST_SCALE, log_density
+from bristle.studies.loop.noise import MOST_SCALE, log_density, over_nodes, score_table
 from bristle.studies.loop.posterior import evidence, posterior
 from bristle.studies.loop.problem import Problem
 from bristle.studies.loop.profile import classes, directions, profile
@@ -89,6 +97,40 @@ def test_likelihood_of_scatter_is_the_joint_normal_density():
     cov = part.T @ part * same + np.eye(mean.size)
     exact = stats.multivariate_normal.logpdf(data.values, mean, cov)
     assert found[0] == pytest.approx(exact, abs=0.3)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_gradient_of_scatter_is_that_of_its_likelihood(robust):
+    """Against differences."""
+    problem, _ = toys.problem(1, {"slope": 6.0})
+    data = whole(problem)
+    model = problem.combine(("slope",))
+    weights, noise = np.asarray(model.weights), data.noises.robust() if robust else 0
+    u = np.array([0.5, 0.1])
+    base, slopes = differentiate(data, model, u[None], np.full((1, 2), 1e-5))
+    gradient, _ = _newton(data, model, data.values[None, None], base, slopes, noise)
+
+    def height(u):
+        predicted = data.predict(model, to_theta(model.parameters, u))
+        return data.heights(data.values[None], predicted[None], weights)[0, noise]
+
+    slope = [(height(u - step) - height(u + step)) / 2e-4 for step in 1e-4 * np.eye(2)]
+    np.testing.assert_allclose(gradient[0], slope, rtol=0.01)
+
+
+def test_curvature_over_nodes_is_that_of_the_complete_data_less_what_is_lost():
+    """Of normal noise, by T. A. Louis' formula as it stands."""
+    rng = np.random.default_rng(0)
+    starts, group = np.array([0, 2, 3]), np.array([0, 0, 1])
+    e, tangent = rng.normal(size=(1, 5, 3)), rng.normal(size=(2, 1, 5, 3))
+    share = rng.dirichlet(np.ones(5), size=(1, 2)).transpose(0, 2, 1)
+    score, exact = over_nodes(e, tangent, share, starts, score_table()[0][0])
+    own = np.add.reduceat(e * tangent, starts[:-1], axis=-1)[:, 0]
+    np.testing.assert_allclose(score[0].T, (share[0] * own).sum(axis=1), rtol=1e-6)
+    by_row = share[0][:, group]
+    complete = np.einsum("jr,pjr,qjr->pq", by_row, tangent[:, 0], tangent[:, 0])
+    lost = np.einsum("jg,pjg,qjg->pq", share[0], own, own)
+    np.testing.assert_allclose(exact[0], complete - lost, rtol=1e-6)
 
 
 def test_parameters_survive_the_unit_box():
