@@ -245,6 +245,26 @@ class Emulator:
             self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
 
+    def absent(self, name: str) -> Table:
+        """Drops without an effect, over height and stiffness, as its own table has them."""
+        key = f"{name} absent"
+        if key not in self._made:
+            table, places = self.of(name)[0], [0.0, 0.0]
+            if name != "surface_slope":
+                places = [each.null for each in self.own(name)]
+            if name in self.scaled:  # absent is what lies beyond the shares, whatever the scale
+                side, (first, *_) = table.axes[2], self.own(name)
+                places = [side.high if first.null > first.typical else side.low]
+            self._made[key] = (table.fixed(*places),)
+        return self._made[key][0]
+
+    def changes(self, name: str) -> tuple[Table, ...]:
+        """The tables `of` an effect, of the difference that it makes."""
+        key = f"{name} changes"
+        if key not in self._made:
+            self._made[key] = tuple(each.less(self.absent(name)) for each in self.of(name))
+        return self._made[key]
+
     def refined(self, name: str) -> Table:
         """The table of an effect that is `scaled`, with the parameters that refine it."""
         key = f"{name} refined"
@@ -337,23 +357,19 @@ class Emulator:
         friction: Array | float | None = None,
     ) -> Array:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
-        absent = [np.asarray(0.0)] * len(value)
-        if name != "surface_slope":
-            absent = [np.asarray(each.null) for each in self.own(name)]
         if name in self.scaled:
             most = self.scale(name, np.asarray(height_m), np.asarray(kn_N_m))
-            value, absent = (value[0] / most, *value[1:]), [absent[0] / most]
+            value = value[0] / most, *value[1:]
         now = [np.asarray(each) for each in (height_m, kn_N_m, *value)]
-        without = [*now[:2], *absent]
-        tables = self.of(name)
+        tables = self.changes(name)
         if len(now) > len(tables[0].axes):
             refined = self.refined(name)
             reached = now[2] < refined.axes[2].high
-            found = np.where(reached, refined.at(*now), tables[0].at(*now[:3]))
-            return np.asarray(found - tables[0].at(*without))
+            found = refined.at(*now) - self.absent(name).at(*now[:2])
+            return np.asarray(np.where(reached, found, tables[0].at(*now[:3])))
         if len(tables) == 1 or friction is None:
-            return tables[0].at(*now) - tables[0].at(*without)
-        return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
+            return tables[0].at(*now)
+        return _between(tables, np.asarray(friction), now)
 
 
 def _axis(parameter: Parameter, leans: bool) -> Axis:

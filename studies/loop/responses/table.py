@@ -8,7 +8,8 @@ times as long where drops share it, and 300 times as long where many nodes of ch
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -43,9 +44,13 @@ class Axis:
         even = np.linspace(self._to(self.low), self._to(self.high), self.n)
         return np.exp(even) if self.how == "log" else even**2 if self.how == "root" else even
 
-    def where(self, x: Array) -> Array:
+    @cached_property
+    def _ends(self) -> tuple[float, float]:
+        return float(self._to(self.low)), float(self._to(self.high))
+
+    def where(self, x: Array | float) -> Array:
         """Places of ``x`` in units of the spacing, held to the ends."""
-        low, high = self._to(self.low), self._to(self.high)
+        low, high = self._ends
         inside = self._to(np.clip(x, self.low, self.high))
         return np.asarray((inside - low) * ((self.n - 1) / (high - low)))
 
@@ -83,6 +88,21 @@ class Table:
             some = np.ascontiguousarray(rows[:, AT_ONCE * i : AT_ONCE * (i + 1)])
             evaluate(some, np.array(sizes), first, points, part)
         return np.asarray(np.moveaxis(out, -1, 1).reshape(count, *shape))
+
+    def fixed(self, *places: float) -> Table:
+        """What is tabulated at these places along all axes but the first two."""
+        left, share = self.coefficients, np.empty(4)
+        for axis, x in zip(self.axes[2:], places, strict=True):
+            first = _cubic(float(axis.where(x)), left.shape[2], share)
+            left = np.tensordot(share, left[:, :, first : first + 4], axes=(0, 2))
+        return Table(self.axes[:2], left)
+
+    def less(self, other: Table) -> Table:
+        """What is tabulated less what another table has over the first two axes: weights along the
+        others sum to one."""
+        heights, kns, *_, count = other.coefficients.shape
+        shape = heights, kns, *(1,) * len(self.axes[2:]), count
+        return replace(self, coefficients=self.coefficients - other.coefficients.reshape(shape))
 
 
 def mended(logs: Array) -> Array:
