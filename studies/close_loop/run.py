@@ -30,7 +30,6 @@ from ..running.files import new_folders, prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
-from ..running.threads import in_threads
 from .confirm import LEFT_OUT, Confirmation, confirm
 from .opening import few_data, names_of_groups, on_few, opening, times, would_have_shown
 from .rows import Closed
@@ -136,7 +135,7 @@ def _files() -> tuple[str, ...]:
 def _simulate(
     problem: Problem, comm: MPI.Intracomm, advance: Callable[[], None] = lambda: None
 ) -> None:
-    """Have every candidate predict once, dealt out over the ranks or, of one, over its threads.
+    """Have every candidate predict once, dealt out over the ranks.
 
     Some of them first simulate thousands of drops, which are then kept on the disk for all ranks
     and for the next run. Collective; raises ComputationError where they fail.
@@ -149,7 +148,8 @@ def _simulate(
     if comm.size > 1:
         share_out(comm, len(candidates), predict, lambda i, nothing: advance())
         return
-    for _ in in_threads(predict, range(len(candidates))):
+    for i in range(len(candidates)):
+        predict(i)
         advance()
 
 

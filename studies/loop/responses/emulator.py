@@ -29,6 +29,7 @@ from ....solver.effects import library
 from ....solver.effects.base import TOUCHING, Effect, Parameter, Scene
 from ....solver.effects.library import EFFECTS
 from ....solver.effects.surface import MOST_SLOPE_DEG
+from ...running.threads import in_threads
 from . import table, table_drops
 from .table import QUANTITIES, Axis, Table, coefficients, mended
 from .table_drops import Outcome, beam_of, its_s, outcomes_of, quantities
@@ -201,7 +202,8 @@ class Emulator:
         """What is tabulated at these ``nodes`` along the axes, of heights and stiffnesses first,
         (..., quantities); NaN where a drop failed.
 
-        Drops that share step, damping and loss are simulated in one batch.
+        Drops that share step, damping and loss are simulated in one batch, large batches first:
+        threads share them.
         """
         longer = LEAN_STEP if friction is not None else 1.0 if nodes[2:] else PLAIN_STEP
         steps = [longer * self.step_s(float(kn)) for kn in nodes[1]]
@@ -210,10 +212,12 @@ class Emulator:
             key = (steps[index[1]], scene.beta_s, scene.loss_factor)
             batches.setdefault(key, []).append((index, scene))
         out = np.empty((*map(len, nodes), len(QUANTITIES)))
-        for (its, *_), batch in batches.items():
-            rows = self.observed([scene for _, scene in batch], its, friction or 0.0)
-            for (index, _), row in zip(batch, rows, strict=True):
-                out[index] = row
+
+        def simulate(key: tuple[float, float, float]) -> None:
+            places, scenes = zip(*batches[key], strict=True)
+            out[*np.transpose(places)] = self.observed(scenes, key[0], friction or 0.0)
+
+        list(in_threads(simulate, sorted(batches, key=lambda key: -len(batches[key]))))
         rigid = self.reference(*np.meshgrid(*nodes[:2], indexing="ij"))
         rigid = rigid.reshape(*rigid.shape, *(1,) * len(nodes[2:]))
         out[~(out > 0.0)] = np.nan  # a tip that does not come up again
