@@ -137,10 +137,9 @@ def assess(
     z = quantile_residuals(data.values, fitted.predicted, weights, data.starts)
     tangent = fitted.mean_slopes[:, fitted.loose] / np.sqrt(1 + fitted.spread**2)[:, None]
     noise = likeliest_noise(data, z, correlated=weights.size == 1)
-    drawn = data.noises.draw(np.full(sets, noise), rng)
     free = Refit(tangent)
-    drawn = free(drawn)
-    both = _soft(np.concatenate([z[None], drawn]))
+    both = np.concatenate([z[None], free(data.noises.draw(np.full(sets, noise), rng))])
+    both = _soft(both)
     patterns = patterns_of(data, fitted)
     # each quantity's own, since what moves one may leave the others
     own = [pattern * (data.kind == k) for pattern in patterns for k in np.unique(data.kind)]
@@ -227,8 +226,9 @@ def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
 
 def _soft(z: Array) -> Array:
     """Residuals, beyond `KNEE` by their logarithm: one outlier does not decide, a thousand do."""
-    size = np.abs(z)
-    return np.sign(z) * np.where(size > KNEE, KNEE + np.log1p(np.maximum(size - KNEE, 0.0)), size)
+    out, far = z.copy(), np.abs(z) > KNEE
+    out[far] = np.sign(z[far]) * (KNEE + np.log1p(np.abs(z[far]) - KNEE))
+    return out
 
 
 def _family(

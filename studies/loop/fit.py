@@ -171,7 +171,7 @@ def differences(
     points[:, moved + 1, moved] += signed
     every = predict(points if here is None else points[:, 1:])
     if here is None:
-        here, every = every[:, 0], every[:, 1:]
+        here, every = every[:, 0].copy(), every[:, 1:]
     return here, (every - here[:, None]) / signed.reshape(*signed.shape, *(1,) * (every.ndim - 2))
 
 

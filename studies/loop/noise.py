@@ -154,10 +154,12 @@ class Noises(NamedTuple):
         rows = self.previous.size
         fresh = rng.standard_normal((which.size, rows))
         for shape, degrees in ((1, 5), (2, 3)):
-            mine, squares = self.shape[which] == shape, rng.chisquare(degrees, fresh.shape)
-            fresh[mine] *= (squares[mine] / degrees) ** -0.5
-        mine, far = self.shape[which] == 3, rng.random(fresh.shape) < OUTLIER_SHARE
-        fresh[mine] *= np.where(far[mine], OUTLIER_WIDTH, 1.0)
+            squares = rng.chisquare(degrees, fresh.shape)
+            for draw in np.flatnonzero(self.shape[which] == shape):
+                fresh[draw] *= (squares[draw] / degrees) ** -0.5
+        far = rng.random(fresh.shape) < OUTLIER_SHARE
+        for draw in np.flatnonzero(self.shape[which] == 3):
+            fresh[draw, far[draw]] *= OUTLIER_WIDTH
         fresh /= self.stretch[which]
         if not self.correlation[which].any():
             return fresh
