@@ -59,8 +59,8 @@ def names_of_groups(kind: str) -> tuple[str, str]:
 def opening(finding: Finding) -> list[str]:
     """The verdict and what it is worth, in plain sentences."""
     told = [_verdict(finding), _chance(finding)]
-    if finding.lead:
-        told.insert(0, f"Before all: {finding.lead}" + "." * (finding.lead[-1] not in ".?"))
+    if lead := finding.problem.lead:
+        told.insert(0, f"Before all: {lead}" + "." * (lead[-1] not in ".?"))
     if finding.held_out is not None and finding.model.effects:
         told.append(_held(finding, finding.held_out))
     return told

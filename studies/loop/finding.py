@@ -99,10 +99,9 @@ class Finding:
     ``weights`` the shares of these effects in them, ``probabilities`` those that effects are in the
     data, whatever is reported; ``noticed`` says by what else than the tests something is seen to be
     missing.
-    ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
-    are their quantile residuals, ``covariates`` what they are drawn against. ``theta`` are the
-    likeliest parameters of the reported ``model``, ``parameters`` posterior medians with intervals.
-    ``lead`` is a doubt that comes before the verdict. ``unlike`` is a record that nothing known
+    ``rows`` numbers the problem's rows that were fitted; ``residual_before`` are their quantile
+    residuals. ``theta`` are the likeliest parameters of the reported ``model``, ``parameters``
+    posterior medians with intervals. ``unlike`` is a record that nothing known
     explains with the others, where that may be what is wrong.
     ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
     of ``evidences``. ``limits`` and ``needed_d``: in which directions, and at which size, an effect
@@ -139,14 +138,10 @@ class Finding:
     theta: Array
     rows: Ints
     residual_before: Array
-    residual_after: Array
-    covariates: Mapping[str, Array]
     noticed: str
     warnings: tuple[str, ...]
-    left_aside: tuple[str, ...]
     bookkeeping: tuple[Entry, ...]
     unlike: Entry | None
-    lead: str
     remarks: Mapping[str, str]
     seed: int
     alarm: float
@@ -227,8 +222,8 @@ class Finding:
             "nearest": plain(self.nearest),
             "noise": dict(self.noise),
             "warnings": self.all_warnings(),
-            "lead": self.lead,
-            "left_aside": list(self.left_aside),
+            "lead": self.problem.lead,
+            "left_aside": list(self.problem.left_aside),
             "bookkeeping": plain(self.bookkeeping),
             "remarks": {name: self.remarks[name] for name in self.effects if name in self.remarks},
             "held_out": None if self.held_out is None else self.held_out.keys(),

@@ -129,7 +129,7 @@ def _cost(record: Record, curve: Array, cell_s: float, touch_s: float) -> tuple[
     force = record.force_N[used]
     shape = at_times(curve, cell_s, record.t_s[used] - touch_s)
     size = float(force @ shape) / max(float(shape @ shape), 1e-300)
-    # samples before and after count too: nothing presses then
+    # samples before the touch count too: nothing presses then
     outside = record.force_N[~used & (record.t_s < touch_s)]
     return float(np.sum((force - size * shape) ** 2)) + float(outside @ outside), size
 
