@@ -109,7 +109,7 @@ def _verdict(finding: Finding) -> str:
         (names,) = finding.reported
         return f"{seen}; {_with_sizes(finding, names)} explain{'s' * (len(names) == 1)} it."
     each = "; ".join(
-        " with ".join(_titled(finding, name) for name in names) for names in finding.reported
+        " with ".join(_titled(finding, names, name) for name in names) for names in finding.reported
     )
     return f"{seen}. Each of these explains it, and these data do not tell which: {each}."
 
@@ -145,13 +145,13 @@ def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
             found = finding.parameters[own]
             value = quantity(own, f"{found.estimate:.3g}", found.unit)
             size = f" ({value}, 90 % interval {found.low:.3g} to {found.high:.3g})"
-        told.append(_titled(finding, name) + size)
+        told.append(_titled(finding, names, name) + size)
     return " with ".join(told)
 
 
-def _titled(finding: Finding, name: str) -> str:
-    """An effect in words, with where it acts."""
-    return f"{title_of(name)} {finding.remarks.get(name, '')}".rstrip()
+def _titled(finding: Finding, names: Sequence[str], name: str) -> str:
+    """An effect in words, with where it acts in the reported model with the effects ``names``."""
+    return f"{title_of(name)} {finding.remarks.get(tuple(names), {}).get(name, '')}".rstrip()
 
 
 def _chance(finding: Finding) -> str:

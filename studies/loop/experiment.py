@@ -37,9 +37,7 @@ def next_experiment(problem: Problem, tied: Sequence[Posterior]) -> Proposal | N
 
 
 def _gain(experiment: Experiment, tied: Sequence[Posterior]) -> float:
-    models = [
-        refined_as(experiment.models(each.fitted.effects), each.fitted.u.size) for each in tied
-    ]
+    models = [refined_as(experiment.models(each.fitted.model), each.fitted.u.size) for each in tied]
     gains = [
         _distance(model, other, _seen(made, truth.fitted.u)) / 2
         for (truth, made), (other, model) in permutations(zip(tied, models, strict=True), 2)

@@ -56,8 +56,8 @@ class Explanation:
     leaves.
 
     It ``holds`` where what it leaves is noise and it pays as well. It is ``spared`` where only the
-    scores of too few held-out groups speak against it, or only its residuals, which count
-    ``against`` it by so many nats.
+    scores of too few held-out groups speak against it, or only its residuals. Residuals that are
+    odd count ``against`` it by so many nats.
     """
 
     posterior: Posterior
@@ -134,42 +134,52 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
     least = max(alone, default=max(each.log_evidence for each in refined) - NEAR) + state.cost
     pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
     better = [each for each in pairs if each.log_evidence > least]
-    return _with_spared(state, [*looked, *_looked_at(state, better, refined, looked)]), refined
+    explained = [*looked, *_looked_at(state, better, refined, looked)]
+    return _with_spared(state, explained, refined), refined
 
 
-def _with_spared(state: State, explained: list[Explanation]) -> list[Explanation]:
+def _with_spared(
+    state: State, explained: list[Explanation], parts: Sequence[Tried]
+) -> list[Explanation]:
     """The same: if one holds, what was spared holds beside it, and what only its residuals speak
-    against, unless it is far from the likeliest of all these."""
+    against, unless it is far from the likeliest of all these; and no pair that is less likely than
+    a single effect that holds. The ``parts`` of pairs are single effects."""
     if not any(each.holds for each in explained):
         return explained
     least = max(state.standing(each) for each in explained if each.holds or each.spared)
     least -= UNLISTED_MARGIN
+    scored = _scores_of(explained)
     out = []
     for each in explained:
         if not each.holds and not each.spared and state.standing(each) > least:
-            each = _but_for_residuals(state, each)
+            each = _but_for_residuals(state, each, parts, scored)
         kept = each.spared and state.standing(each) > least
         out.append(replace(each, holds=True, why_not="") if kept else each)
-    return out
+    alone = [state.standing(e) for e in out if e.holds and len(e.posterior.effects) == 1]
+    enough = max(alone, default=-np.inf)
+    return [
+        replace(each, holds=False, why_not="one effect alone is likelier")
+        if each.holds and len(each.posterior.effects) > 1 and state.standing(each) < enough
+        else each
+        for each in out
+    ]
 
 
-def _but_for_residuals(state: State, each: Explanation) -> Explanation:
+def _but_for_residuals(
+    state: State, each: Explanation, parts: Sequence[Tried], scored: dict[tuple[str, ...], Scores]
+) -> Explanation:
     """An explanation that is spared if only what it leaves speaks against it; else as it was."""
     found = each.posterior
     if not each.against or _large(state.data, each.left.residual) or _shape_beats(state, found):
         return each
-    held, scores = None, None
-    if state.judge.held.values.size:
-        scores = state.judge.scores(found)
-        held = state.judge.judge(found, state.judge.gain(scores, state.judge.plain))
-        if _worse(found, held, np.inf) or _off(state, found, held):
-            return each
-    return replace(each, held=held, scores=scores, spared=True)
+    why, held, scores, _ = _judged(state, found, parts, scored)
+    return each if why else replace(each, held=held, scores=scores, spared=True)
 
 
 def named(state: State, explained: Sequence[Explanation]) -> list[Explanation]:
     """The credible set of what holds for itself, and all that holds beside it; likeliest first."""
-    alone = [each for each in explained if each.holds and not each.spared]
+    least = max((state.standing(each) for each in explained if each.holds), default=0.0) - NEAR
+    alone = [e for e in explained if e.holds and not e.spared and state.standing(e) > least]
     shares = shares_of([state.standing(each) for each in alone])
     beside = [each for each in explained if each.holds and each.spared]
     out = [*(alone[i] for i in credible(shares, CREDIBLE)), *beside]
@@ -185,28 +195,45 @@ def _looked_at(
     """Tests and held-out scores of the likeliest models, over the baseline and, of pairs, over the
     likelier of their ``parts``, some of which are ``known``."""
     shares = shares_of([each.log_evidence for each in tried])
-    scored = {each.posterior.effects: each.scores for each in known if each.scores is not None}
+    scored = _scores_of(known)
     out = []
     for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT] if tried else ():
         found = _sampled(state, tried[i])
         others = [way for way in state.ways if way.name not in found.effects]
         assessed = assess(state.data, found.fitted, others, state.rng, unlisted=False)
         why, held, scores, spared = _unfit(state, found, assessed), None, None, False
-        if state.judge.held.values.size and not why:
-            scores = state.judge.scores(found)
-            held = state.judge.judge(found, state.judge.gain(scores, state.judge.plain))
-            own = [each for each in parts if each.effects[0] in found.effects]
-            part = max(own, key=lambda each: each.log_evidence, default=None)
-            if part is not None and part.effects not in scored:
-                scored[part.effects] = state.judge.scores(_sampled(state, part))
-            over = scored[part.effects].logs.sum() if part else -np.inf
-            worse = _worse(found, held, scores.logs.sum() - over)
-            few = len(held.groups) < LEAST_SCORED
-            off = _off(state, found, held) if few or not worse else ""
-            why, spared = off or worse, bool(worse) and few and not off
-        against = odds_against(assessed.p_value) if assessed.p_value <= LEFT_ALARM else 0.0
-        out.append(Explanation(found, assessed, held, scores, not why, why, spared, against))
+        if not why:
+            why, held, scores, spared = _judged(state, found, parts, scored)
+        odd = against(assessed.p_value)
+        out.append(Explanation(found, assessed, held, scores, not why, why, spared, odd))
     return out
+
+
+def _scores_of(known: Sequence[Explanation]) -> dict[tuple[str, ...], Scores]:
+    return {each.posterior.effects: each.scores for each in known if each.scores is not None}
+
+
+def _judged(
+    state: State,
+    found: Posterior,
+    parts: Sequence[Tried],
+    scored: dict[tuple[str, ...], Scores],
+) -> tuple[str, HeldOut | None, Scores | None, bool]:
+    """Why held-out data refuse a model, in words, empty where they do not; what they are of it; its
+    scores; and whether only the scores of too few speak against it."""
+    if not state.judge.held.values.size:
+        return "", None, None, False
+    scores = state.judge.scores(found)
+    held = state.judge.judge(found, state.judge.gain(scores, state.judge.plain))
+    own = [p for p in parts if len(found.effects) > 1 and p.effects[0] in found.effects]
+    part = max(own, key=lambda each: each.log_evidence, default=None)
+    if part is not None and part.effects not in scored:
+        scored[part.effects] = state.judge.scores(_sampled(state, part))
+    over = scored[part.effects].logs.sum() if part else -np.inf
+    worse = _worse(found, held, scores.logs.sum() - over)
+    few = len(held.groups) < LEAST_SCORED
+    off = _off(state, found, held) if few or not worse else ""
+    return off or worse, held, scores, bool(worse) and few and not off
 
 
 def _sampled(state: State, tried: Tried) -> Posterior:
@@ -229,6 +256,12 @@ def _shape_beats(state: State, found: Posterior) -> bool:
     """Whether something unlisted is so much likelier than a model that it refuses it."""
     cost = state.cost * (len(found.effects) - 1)
     return state.first.unlisted > found.log_evidence - cost + state.margin(found)
+
+
+def against(left: float | None) -> float:
+    """What the p-value of a model's residuals counts against it in nats: nothing where none refuses
+    it."""
+    return 0.0 if left is None or left > LEFT_ALARM else odds_against(left)
 
 
 def odds_against(p_value: float) -> float:

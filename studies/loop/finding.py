@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
@@ -103,6 +104,7 @@ class Finding:
     residuals. ``theta`` are the likeliest parameters of the reported ``model``, ``parameters``
     posterior medians with intervals. ``unlike`` is a record that nothing known
     explains with the others, where that may be what is wrong.
+    ``remarks`` tell by reported model and effect what its parameters do not.
     ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
     of ``evidences``. ``limits`` and ``needed_d``: in which directions, and at which size, an effect
     is noticed nine times in ten.
@@ -142,7 +144,7 @@ class Finding:
     warnings: tuple[str, ...]
     bookkeeping: tuple[Entry, ...]
     unlike: Entry | None
-    remarks: Mapping[str, str]
+    remarks: Mapping[tuple[str, ...], Mapping[str, str]]
     seed: int
     alarm: float
 
@@ -225,7 +227,7 @@ class Finding:
             "lead": self.problem.lead,
             "left_aside": list(self.problem.left_aside),
             "bookkeeping": plain(self.bookkeeping),
-            "remarks": {name: self.remarks[name] for name in self.effects if name in self.remarks},
+            "remarks": dict(ChainMap(*map(dict, self.remarks.values()))),
             "held_out": None if self.held_out is None else self.held_out.keys(),
             "next_experiment": plain(self.next_experiment),
             "seed": self.seed,

@@ -256,7 +256,7 @@ def log_likelihoods(
             m = predicted[at_prediction[case], node]
             for row in range(rows):  # without branches or signed indices, so that it is vectorised
                 x = abs((y[row] - m[row] - carried[row]) * stretch[row]) * (1.0 / STEP)
-                low = np.uint32(min(x, last))
+                low = np.uint32(min(last, x))  # in this order, what is no number is far off
                 each[row] = density[low] + (x - low) * (density[low + 1] - density[low])
             for group in range(groups):
                 total = logs[node]
@@ -294,7 +294,7 @@ def over_nodes(
                 score[:] = 0.0
                 for row in range(starts[group], starts[group + 1]):
                     x = abs(e[i, node, row])
-                    at = min(x * (1.0 / STEP), last)
+                    at = min(last, x * (1.0 / STEP))
                     low = np.uint32(at)
                     slope = psi[low] + (at - low) * (psi[low + 1] - psi[low])
                     curve = weight * max(slope / x, LEAST_CURVE) if x > 1e-6 else weight

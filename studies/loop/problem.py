@@ -106,11 +106,12 @@ def refined_as(model: Model, parameters: int) -> Model:
 class Experiment:
     """A measurement that could be made next.
 
-    ``models`` builds, for the names of effects, a `Model` that predicts what it would give.
+    ``models`` builds, for a model that was found, one with the same effects that predicts what it
+    would give.
     """
 
     change: str
-    models: Callable[[tuple[str, ...]], Model]
+    models: Callable[[Model], Model]
 
 
 @dataclass(frozen=True)

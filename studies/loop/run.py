@@ -1,14 +1,15 @@
 """The loop from a `Problem` to a `Finding`: fit, test, explain, test again, score on held-out data.
 
-Nothing is adequate, and no effect is named, unless what is left of the fitted data passes the
-absolute tests (`adequacy`) and the held-out data are predicted as their noise allows. An effect has
-to pay as well: the log score of the held-out data rises by more than their noise can make of it.
+Nothing is adequate, and no effect is named by itself, unless what is left of the fitted data passes
+the absolute tests (`adequacy`) and the held-out data are predicted as their noise allows. An effect
+has to pay as well: the log score of the held-out data rises by more than their noise can make of
+it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from .explain import (
     UNLISTED_MARGIN,
     Explanation,
     State,
+    against,
     effect_cost,
     explain,
     missing_otherwise,
@@ -164,7 +166,8 @@ def _support(found: Finding, problem: Problem) -> float:
     if found.verdict is Verdict.UNKNOWN:
         shape = -np.inf if found.shape.startswith(WIDER_NOISE) else found.unlisted
         return max(shape, *credence.values())
-    return max(credence[each] for each in found.reported or ((),))
+    odd = {each.effects: against(each.left_p_value) for each in found.evidences}
+    return max(credence[each] - odd[each] for each in found.reported or ((),))
 
 
 def _of_records(problem: Problem, seed: int, alarm: float, advance: Callable[..., None]) -> Finding:
@@ -343,7 +346,7 @@ def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | No
 
 def _likelier(state: State, best: Explanation, explained: Sequence[Explanation]) -> str:
     """Which explanations are likelier than the one that is named and do not hold, in words."""
-    by = [state.credence(each.posterior) - state.credence(best.posterior) for each in explained]
+    by = [state.credence(each.posterior) - state.standing(best) for each in explained]
     return "; ".join(
         f"{' with '.join(each.posterior.effects)}, {_times(nats)} as probable, was refused: "
         f"{each.why_not}"
@@ -411,13 +414,10 @@ def _units(problem: Problem, data: Sample) -> Array:
     return unit[number]
 
 
-def _remarks(tied: Sequence[Posterior]) -> dict[str, str]:
-    """By effect what its parameters do not tell, of the likeliest model that has it."""
-    out: dict[str, str] = {}
-    for each in reversed(tied):
-        model = each.fitted.model
-        out |= model.remarks if isinstance(model, Chosen) else {}
-    return out
+def _remarks(tied: Sequence[Posterior]) -> dict[tuple[str, ...], Mapping[str, str]]:
+    """By the effects of each model and by effect what its parameters do not tell."""
+    models = {each.effects: each.fitted.model for each in tied}
+    return {k: each.remarks for k, each in models.items() if isinstance(each, Chosen)}
 
 
 def _by_effect(state: State, reported: Sequence[Explanation]) -> dict[str, float]:

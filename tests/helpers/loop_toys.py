@@ -287,8 +287,8 @@ def problem(
         candidates=singles if declared else [Shrunk(m, guess) for m in singles],
         combine=lambda names: model(d, names) if declared else Shrunk(model(d, names), guess),
         experiments=[
-            Experiment("more heights", lambda names: model(_wider(d), names)),
-            Experiment("the same again", lambda names: model(d, names)),
+            Experiment("more heights", lambda found: model(_wider(d), found.effects)),
+            Experiment("the same again", lambda found: model(d, found.effects)),
         ],
         sigma_declared=declared,
         notes={"mean": mean if declared else mean / guess},

@@ -13,7 +13,7 @@ from made_drops import write_drops
 from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.adequacy import STATE_SHARES, STATE_SHIFTS, STATE_SPREADS, _two_states
 from bristle.studies.loop.fit import BOX_PRECISION
-from bristle.studies.loop.kinds.drops.problem import drops_problem
+from bristle.studies.loop.kinds.drops.problem import drops_problem, experiments
 from bristle.studies.loop.responses.sessions import Partings
 from bristle.studies.loop.sample import ENOUGH, sample
 from bristle.studies.loop.search import chosen, fit_baseline
@@ -136,6 +136,8 @@ def test_a_session_is_found_beside_wear_that_hides_it(many):
     plain = fit_baseline(data, model())
     both = chosen(data, worn, model("wear", "session"))
     assert both.drops.partings.near[0] <= 21 <= both.drops.partings.near[1]
+    proposed = experiments(drops, {0: 1e-4}, lambda drops, *_: replace(both, drops=drops))[0]
+    np.testing.assert_array_equal(proposed.models(both).drops.session, both.drops.session)
     alone = chosen(data, plain, model("session"))
     assert not alone.drops.partings.near[0] <= 21 <= alone.drops.partings.near[1]
 

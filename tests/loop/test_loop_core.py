@@ -519,10 +519,9 @@ def test_held_out_values_take_no_part(named):
     found = find(spoiled, seed=1)
     assert found.p_value == named.p_value
     # of pairs more are looked at where no effect holds by itself
-    fitted = {e.effects: e.theta for e in found.evidences}
-    assert {e.effects: fitted[e.effects] for e in named.evidences} == {
-        e.effects: e.theta for e in named.evidences
-    }
+    fitted, before = ({e.effects: e.theta for e in f.evidences} for f in (found, named))
+    assert {effects: fitted[effects] for effects in before} == before
+    assert all(len(effects) == 2 for effects in fitted.keys() - before)
     # and a model that fails on them holds no longer
     assert found.verdict is Verdict.UNKNOWN
 
@@ -567,6 +566,9 @@ def test_odd_residuals_count_against_an_effect_where_another_holds(p_value, kept
     monkeypatch.setattr(explain, "_worse", lambda *_: "")
     beside = find(problem, seed=5)
     assert (plain.effects in beside.reported) is kept
+    if kept:  # a pair of it and what does nothing, or what is far less likely, is not named with it
+        assert not any(set(plain.effects) < set(each) for each in beside.reported)
+        assert min(beside.weights[name] for name in beside.effects) > 0.02
     assert any("is odd (test for" in each for each in beside.warnings) is kept
     assert any("was refused" in each for each in beside.warnings) is not kept
 
@@ -882,3 +884,16 @@ def test_outliers_anywhere_are_seldom_together():
 def test_wrong_noise_is_no_effect(how):
     verdicts = [find(toys.problem(s, how=how)[0], seed=s).verdict for s in range(2)]
     assert verdicts == 2 * [Verdict.ADEQUATE]
+
+
+@pytest.mark.parametrize("nodes", [1, 3])
+def test_predictions_that_are_no_numbers_are_the_least_likely(nodes):
+    problem = toys.problem(7, quantities=1)[0]
+    data = sample(problem, problem.groups)
+    good = np.repeat(data.values[None, None], nodes, axis=1)
+    bad = good.copy()
+    bad[..., 0] = np.nan
+    heights = data.heights(
+        data.values[None], np.concatenate([good, bad]), np.full(nodes, 1 / nodes)
+    )
+    assert not np.any(heights[1] > heights[0] - 1e3)

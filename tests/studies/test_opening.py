@@ -125,7 +125,11 @@ def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):
     told = opening(tied)[0]
     assert "drift with the order of drops; adhesion with drift with the order of drops." in told
     assert "do not tell which" in told
-    begun = replace(tied, reported=(("wear",), ("session",)), remarks={"session": "from drop 9 on"})
+    begun = replace(
+        tied,
+        reported=(("wear",), ("session",)),
+        remarks={("session",): {"session": "from drop 9 on"}},
+    )
     assert opening(begun)[0].endswith("drops; a difference between sessions from drop 9 on.")
 
 
@@ -218,4 +222,7 @@ def test_what_is_known_beforehand_is_doubted_only_where_the_data_press_against_i
 
 def test_what_cannot_be_leads(worn):
     doubt = "y1_mm exceeds y0_mm in 48 of 48 drops"
-    assert opening(replace(worn, lead=doubt))[0] == f"Before all: {doubt}."
+    assert (
+        opening(replace(worn, problem=replace(worn.problem, lead=doubt)))[0]
+        == f"Before all: {doubt}."
+    )

@@ -318,8 +318,8 @@ class DropModel(BounceModel):
 
     @property
     def choices(self) -> int:
-        """Among how many ways to part sessions the data chose: see `problem.Chosen`."""
-        return 1 if self._partings is None else self._partings.possible.size
+        """Among how many ways to part sessions the data chose: see `fit.Chosen`."""
+        return 1 if self._partings is None else max(self._partings.possible.size, 1)
 
     @property
     def remarks(self) -> dict[str, str]:

@@ -71,8 +71,8 @@ class Partings:
         return replace(self, second=second.astype(float), near=(float(first), float(last)))
 
     def gains(self, data: Sample, beside: Fitted, drop: Ints, slope: Array) -> Array:
-        """What two sessions would gain (possible ways,) over a fit ``beside`` which they are one,
-        in nats, all that the fit leaves free refitted.
+        """What two sessions would gain, in nats and by the way to part them (possible ways,). The
+        fit ``beside`` has one session, and what it leaves free is refitted.
 
         ``drop`` (rows,) is each row's, and ``slope`` (rows,) what a second session does to it. By
         the score of its size (C. R. Rao, Math. Proc. Camb. Phil. Soc. 44 (1948) 50).
@@ -95,7 +95,7 @@ class Partings:
     def words(self) -> str:
         """Which drops are those of the second session."""
         second = np.flatnonzero(self.second)
-        if self.names:
+        if self.names and self._told:
             return "of " + ", ".join(dict.fromkeys(self.names[i] for i in self.label[second]))
         first, last = (f"{self.drop[i]:g}" for i in second[[0, -1]])
         if second[-1] < len(self.label) - 1:

@@ -30,7 +30,7 @@ from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
 from ...problem import Entry, Experiment, Model, Problem, undeclared
-from ...responses.drop_model import STEP, DropModel, Drops
+from ...responses.drop_model import STEP, BounceModel, DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.errors import Errors
 from ...responses.rigid import RigidEmulator, rigid_emulator
@@ -461,7 +461,14 @@ def experiments(drops: Drops, sigmas: Mapping[int, float], build: Build) -> list
 
     def one(change: str, changed: Drops, better: Mapping[int, float]) -> Experiment:
         known = {q: better.get(q, sigmas.get(q, 0.0)) for q in changed.quantities}
-        return Experiment(change, lambda effects: build(changed, known, effects))
+
+        def models(found: Model) -> DropModel:
+            assert isinstance(found, BounceModel)
+            session, partings = found.drops.session, found.drops.partings
+            parted = replace(changed, session=session, partings=partings)
+            return build(parted, known, found.effects)
+
+        return Experiment(change, models)
 
     out = []
     for q, sigma, words in (

@@ -29,7 +29,7 @@ from .....solver.bristle import Bristle, RigidMass
 from .....solver.effects.base import Parameter, Place, Scene
 from .....solver.effects.library import EFFECTS
 from ....data.datasets import Manifest
-from ...problem import Experiment, Problem
+from ...problem import Experiment, Model, Problem
 from ...responses.drop_model import BounceModel, Drops
 from ...responses.emulator import Emulator
 from ...responses.rigid import RigidEmulator, rigid_emulator
@@ -192,11 +192,11 @@ def tracks_problem(data: Tracks) -> Problem:
     def combine(effects: tuple[str, ...]) -> TrackModel:
         return replace(plain, effects=tuple(effects))
 
-    def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
+    def filmed_faster(found: Model) -> TrackModel:
         fps = films.faster_fps
         others = [faster(film, each, fps) for film, each in zip(films.films, tracks, strict=True)]
         weights_of, of = _rows(with_lean(others, *films.lean_deg))
-        return replace(combine(effects), weights_of=weights_of, of=of)
+        return replace(combine(found.effects), weights_of=weights_of, of=of)
 
     leading = np.concatenate([each.leading for each in tracks])
     known = np.concatenate([each.known for each in tracks])
