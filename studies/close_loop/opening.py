@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -138,15 +139,22 @@ def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
     """Effects in words, each with its first parameter and that one's 90 % interval."""
     told = []
     for name in names:
-        known = EFFECTS[name].parameters if name in EFFECTS else ()
-        own = next((each.name for each in known if each.name in finding.parameters), "")
         size = ""
-        if own:
-            found = finding.parameters[own]
+        if own := next((each for each in _parameters(name) if each in finding.parameters), ""):
+            # of parameters that have one name, as many effects before this one have theirs
+            before = names[: names.index(name)]
+            count = sum(_parameters(each).count(own) for each in before)
+            alike = [e for e in finding.parameters if re.fullmatch(rf"{own}(_\d+)?", e)]
+            found = finding.parameters[alike[count]]
             value = quantity(own, f"{found.estimate:.3g}", found.unit)
             size = f" ({value}, 90 % interval {found.low:.3g} to {found.high:.3g})"
         told.append(_titled(finding, names, name) + size)
     return " with ".join(told)
+
+
+def _parameters(name: str) -> list[str]:
+    """The names of an effect's parameters."""
+    return [each.name for each in EFFECTS[name].parameters] if name in EFFECTS else []
 
 
 def _titled(finding: Finding, names: Sequence[str], name: str) -> str:

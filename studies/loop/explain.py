@@ -132,7 +132,8 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
     # a pair has to be likelier than the effects that hold by themselves
     alone = [each.posterior.log_evidence for each in looked if each.holds]
     least = max(alone, default=max(each.log_evidence for each in refined) - NEAR) + state.cost
-    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
+    data, every, base = state.data, state.every, state.base
+    pairs = fit_pairs(state.problem, data, every, base, singles, state.profiles, plain, least)
     better = [each for each in pairs if each.log_evidence > least]
     explained = [*looked, *_looked_at(state, better, refined, looked)]
     return _with_spared(state, explained, refined), refined

@@ -3,8 +3,7 @@
 Where the problem names no groups to hold out, a quarter of them are chosen by the seed before
 anything is fitted: sorted by height, one of each four neighbours, so that every height is tried.
 Whole groups, since rows of one group share its chance. What prepares a table sees all of its rows:
-which of them are slips, how a height's error is whitened. Where a second session begins is chosen
-by all rows that are fitted, those of each fold of the cross-validation among them.
+where two sessions are told apart, which rows are slips, how a height's error is whitened.
 
 The log score is the logarithm of the predictive density (I. J. Good, J. R. Stat. Soc. B 14 (1952)
 107; Gneiting and Raftery, J. Am. Stat. Assoc. 102 (2007) 359), the parameters integrated out.

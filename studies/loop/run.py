@@ -222,15 +222,15 @@ def _find(
     found = fit_baseline(data, problem.baseline)
     baseline = posterior(data, found, found.u.size, rng)
     base = baseline.fitted
+    unit = _units(problem, data)
+    every = sample(problem, np.concatenate([groups, apart]), unit)
     profiles: list[Profile] = []
     for model in problem.candidates:
-        profiles.append(profile(data, base, chosen(data, base, model)))
+        profiles.append(profile(data, base, chosen(every, base, model)))
         advance()
     ways = directions(data, base, profiles)
     first = assess(data, base, ways, rng)
-    unit = _units(problem, data)
     held = sample(problem, apart, unit)
-    every = sample(problem, np.concatenate([groups, apart]), unit)
     judge = Judge(problem, data, held, baseline, seed)
     plain = judge.judge(baseline, Gain()) if apart.size else None
     advance()

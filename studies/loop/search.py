@@ -143,12 +143,13 @@ def resolved(data: Sample, base: Fitted, model: Model) -> Model:
     return model.finer(min(closer, MOST_CLOSER)) if closer > 1 else model
 
 
-def chosen(data: Sample, beside: Fitted, model: Model) -> Model:
-    """The model as data choose it beside a fit of its other effects; itself where they choose
+def chosen(every: Sample, beside: Fitted, model: Model) -> Model:
+    """The model as all data choose it beside a fit of its other effects; itself where they choose
     nothing, or the fit has that effect itself."""
     if not isinstance(model, Chosen) or model.choices < 2 or _chooses(beside.model):
         return model
-    return model.chosen(data, beside)
+    there = fit(every, beside.model, beside.u, beside.noise, iterations=0)
+    return model.chosen(every, there)
 
 
 def _chooses(model: Model) -> bool:
@@ -233,6 +234,7 @@ def fit_simulated(data: Sample, base: Fitted, tried: Tried, least: float = -np.i
 def fit_pairs(
     problem: Problem,
     data: Sample,
+    every: Sample,
     base: Fitted,
     singles: Sequence[Tried],
     profiles: Sequence[Profile],
@@ -240,7 +242,8 @@ def fit_pairs(
     least: float,
 ) -> list[Tried]:
     """Fits of the pairs of effects whose log evidence may be ``least`` or more, to simulations
-    where they are likely; ``plain`` is the baseline's."""
+    where they are likely; ``plain`` is the baseline's. They are fitted to ``data``, a part of
+    ``every``."""
     few, share = data.first, TABLE_SHARE * (least - plain)
     alone = {each.effects[0]: each for each in singles}
     by_name = {each.name: each for each in profiles}
@@ -265,7 +268,7 @@ def fit_pairs(
         if isinstance(model, Emulated) and not model.possible:
             continue
         for name in names:
-            model = chosen(data, alone[name].fitted, model)
+            model = chosen(every, alone[name].fitted, model)
         starts = _pair_starts(model, base, alone, by_name)
         starts = starts[_likeliest(few, model, starts, FEW_FOLLOWED)]
         # of many nodes the likeliest start alone

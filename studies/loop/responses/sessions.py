@@ -99,7 +99,7 @@ class Partings:
             return "of " + ", ".join(dict.fromkeys(self.names[i] for i in self.label[second]))
         first, last = (f"{self.drop[i]:g}" for i in second[[0, -1]])
         if second[-1] < len(self.label) - 1:
-            return f"drops {first} to {last}"
+            return f"of drops {first} to {last}"
         if self.near[0] == self.near[1]:
             return f"from drop {first} on"
         near = f"{self.near[0]:g} to {self.near[1]:g}"

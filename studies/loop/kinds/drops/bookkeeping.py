@@ -36,6 +36,8 @@ PRIOR = {"gaussian": 1.0 - sum(OTHERS.values()), **OTHERS}
 KINDS = 5
 # Standard deviations from which on a row is looked at.
 SUSPECT = 4.0
+# A share of the heights that no slip reaches.
+USUAL = 0.9
 # Heights that were meant are within this factor of all others.
 BEYOND = 1.2
 
@@ -57,6 +59,11 @@ class Table:
     columns: tuple[str, ...]
     unit: tuple[float, ...]
     predict: Callable[[Array], Array]
+
+    @property
+    def highest_m(self) -> float:
+        """Above it a height is nearer to ten times the others than to the highest of them."""
+        return float(np.quantile(self.y0_m, USUAL, method="lower")) * math.sqrt(10.0)
 
 
 def misread(table: Table, before: float = 0) -> tuple[list[Entry], bool]:
@@ -94,18 +101,19 @@ def misread(table: Table, before: float = 0) -> tuple[list[Entry], bool]:
 
 
 def _in_a_pattern(table: Table, rows: list[int]) -> bool:
-    """Whether rows follow each other in the order or in the heights, or come at even distances in
+    """Whether rows lie close together in the order or in the heights, or come at even distances in
     the order, as few would by chance."""
     n, count = len(table.y0_m), len(rows)
     if count < 2:
         return False
     ranks = (np.arange(n), np.argsort(np.argsort(table.y0_m, kind="stable")))
-    if any(np.ptp(rank[rows]) == count - 1 for rank in ranks):
-        ways = n
-    elif np.ptp(np.diff(np.sort(rows))) == 0:
-        ways = n * n // (2 * (count - 1))  # a first row, and a distance that the last one allows
-    else:
-        return False
+    width = 1 + min(int(np.ptp(rank[rows])) for rank in ranks)
+    # as many rows somewhere within the width, in either
+    several, fewer = math.comb(width, count), math.comb(width - 1, count)
+    ways = 2 * ((n - width + 1) * several - (n - width) * fewer)
+    if np.ptp(np.diff(np.sort(rows))) == 0:
+        # a first row, and a distance that the last one allows
+        ways = min(ways, n * n // (2 * (count - 1)))
     return ways / math.comb(n, count) < PATTERN
 
 
@@ -160,11 +168,12 @@ class Smooth:
 
         every = np.arange(len(table.y0_m))
         predicted, terms = table.predict(table.y0_m), _terms(table, every, table.y0_m)
+        beside = table.y0_m <= table.highest_m  # others would bend the course to themselves
         found = cls(
             table, np.zeros((terms.shape[1], predicted.shape[1])), np.ones(predicted.shape[1])
         )
         for q, sigma in enumerate(table.sigma.T):
-            there = np.isfinite(table.values[:, q])
+            there = np.isfinite(table.values[:, q]) & beside
             design = terms[there] * (predicted[:, q] / sigma)[there, None]
             seen = (table.values[:, q] / sigma)[there]
             if seen.size <= 2 * terms.shape[1]:
@@ -194,7 +203,7 @@ class Smooth:
 
 def _terms(table: Table, rows: NDArray[np.int64], y0_m: Array) -> Array:
     """Polynomials (n, terms) of the height and of the logarithm of the order."""
-    low, high = table.y0_m.min(), table.y0_m.max()
+    low, high = table.y0_m.min(), min(table.y0_m.max(), table.highest_m)
     spread = high - low > 5.0 * table.sigma_y0_m
     heights = np.clip(2.0 * (y0_m - low) / max(high - low, 1e-9) - 1.0, -1.0, 1.0)
     degree = min(DEGREE, len(table.y0_m) // 8) if spread else 0
