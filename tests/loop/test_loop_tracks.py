@@ -398,7 +398,7 @@ def test_filmed_faster_the_same_drops_tell_more(tmp_path):
     def told(model):
         return float(np.linalg.norm(model.predict(at + step) - model.predict(at - step)))
 
-    assert told(faster.models(())) > 1.5 * told(problem.baseline)
+    assert told(faster.models(problem.baseline)) > 1.5 * told(problem.baseline)
 
 
 def test_chance_makes_rows_scatter(tmp_path):

@@ -74,14 +74,17 @@ def with_slip(made, how, rng):
         values[row] = 1e-3 * float(text[0] + text)
     elif how == "columns":
         y0[row], values[row, 0] = values[row, 0], y0[row]
-    elif how == "y0":
-        y0[row] *= 0.1
+    elif how.startswith("y0"):
+        y0[row] *= {"y0": 0.1, "y0 tenfold": 10.0}[how]
     elif how == "anything":
         values[row] *= 1.6
     return table(y0, values), row + 1
 
 
-@pytest.mark.parametrize("how", ["point", "missing", "doubled", "columns", "y0", "anything"])
+HOW = ("point", "missing", "doubled", "columns", "y0", "y0 tenfold", "anything")
+
+
+@pytest.mark.parametrize("how", HOW)
 def test_a_slip_is_named_with_its_row(how):
     found = []
     for seed in range(20):
@@ -124,9 +127,11 @@ def test_noise_is_seldom_taken_for_a_slip(noise):
 
 
 def test_many_rows_that_are_off_are_no_slips():
-    """They are a shape: a band of heights, every ninth drop, or drops side by side."""
+    """They are a shape: a band of heights, every ninth drop, drops side by side or most of the last
+    ones."""
     made = toy(np.random.default_rng(8))
-    for off in (made.y0_m > 0.045, np.isin(made.number, (9, 18, 27, 36))):
+    spread = (np.isin(made.number, each) for each in ((41, 43, 44, 45, 48), (9, 18, 27, 36)))
+    for off in (made.y0_m > 0.045, *spread):
         values = made.values.copy()
         values[off] *= 3.0
         assert not misread(replace(made, values=values))[0]
@@ -397,6 +402,16 @@ def test_a_difference_between_sessions_is_named_as_such(told, few, tmp_path):
     where = {"column": "of b", "gap": "from drop 1001 on", "nowhere": "from drop"}[told]
     assert f"a difference between sessions {where}" in opening(found)[0]
     assert found.parameters["decades"].low < 0.12 < found.parameters["decades"].high
+
+
+def test_a_session_begins_where_it_does_whichever_drops_are_held_out(few, tmp_path):
+    """The last drops of the first session tell its end, though the model is not fitted to them."""
+    problem = drops_problem(read_drops(two_days(tmp_path)))
+    held = (3, 9, 12, 15, 20, 21, 27, 30, 34, 38)
+    found = find(replace(problem, held=held))
+    assert found.effects == ("session",)
+    alone = find(replace(problem, held=tuple(range(2, 40, 4))))
+    assert found.remarks == alone.remarks
 
 
 def test_a_session_that_the_table_tells_may_have_two_drops():

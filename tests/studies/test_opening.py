@@ -133,6 +133,18 @@ def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):
     assert opening(begun)[0].endswith("drops; a difference between sessions from drop 9 on.")
 
 
+def test_each_of_two_effects_is_told_with_its_own_size(worn):
+    """Wear and a session have a parameter of one name."""
+    sizes = {
+        "decades": Interval(-0.66, -0.69, -0.63, "decades per 100 drops"),
+        "decades_3": Interval(0.17, 0.16, 0.18, "decades"),
+    }
+    names = ("wear", "session")
+    told = opening(replace(worn, reported=(names,), parameters=sizes))[0]
+    assert "drops (-0.66 decades per 100 drops, 90 % interval -0.69 to -0.63) with" in told
+    assert "sessions (0.17 decades, 90 % interval 0.16 to 0.18)" in told
+
+
 def test_what_no_test_shows_is_told_by_what_does(worn):
     otherwise = replace(worn, verdict=Verdict.UNKNOWN, noticed="outliers lie side by side")
     told = opening(otherwise)
