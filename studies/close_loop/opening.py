@@ -34,7 +34,7 @@ SEEN = {
     "one in several of the order": "one in several of the data is off",
     "settling in the order": "the first of the data are off, and the later ones less and less",
     "runs": "values measured one after another lie on the same side of the model",
-    "two states": "the data fall into two groups, and each is off by its own amount",
+    "two states": "the data look like two groups that are off by different amounts",
     "shared within a group": "what was read of one drop is off together",
     "any function of ": "what the model leaves changes with {}",
     WIDER_NOISE: "the data lie farther from the model than their errors allow",

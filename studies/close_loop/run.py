@@ -262,7 +262,11 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     if content["verdict"] != "adequate" and first > content["alarm"]:
         chance = f"{p_text(first)} by the tests of these data alone; the doubts say what shows it"
     rows.append(("something is missing", chance))
-    rows.append(("something is left", f"{p_text(last)}: chance leaves as much {times(last)}"))
+    beside = ""
+    if content["verdict"] == "unknown" and content["nearest"]:
+        beside = f"beside {' with '.join(content['nearest']['effects'])}, "
+    left = f"{beside}{p_text(last)}: chance leaves as much {times(last)}"
+    rows.append(("something is left", left))
     for name, each in content["parameters"].items():
         value = f"{each['estimate']:.4g} ({each['low']:.4g} to {each['high']:.4g}) {each['unit']}"
         rows.append((name, value.rstrip()))

@@ -103,4 +103,4 @@ class Partings:
         if self.near[0] == self.near[1]:
             return f"from drop {first} on"
         near = f"{self.near[0]:g} to {self.near[1]:g}"
-        return f"from drop {first} on (it may be from any of {near}, and its size with it)"
+        return f"from drop {first} on (any beginning from {near} explains nearly as much)"

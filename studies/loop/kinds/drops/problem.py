@@ -147,7 +147,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         confirm=None if emulator.no_solid else confirm,
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
-        warnings=undeclared("sigma_y_mm", data.sigma_y_m),
+        warnings=(*undeclared("sigma_y_mm", data.sigma_y_m), *_many_sessions(partings)),
         notes=notes,
         lead=data.doubt,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
@@ -327,6 +327,17 @@ def _later(drop: Array) -> NDArray[np.bool_]:
     return np.asarray(step > MISSING * max(usual, 1.0))
 
 
+def _many_sessions(partings: Partings) -> tuple[str, ...]:
+    """A doubt where the table tells more sessions than the loop can tell apart at once."""
+    count = int(partings.label.max()) + 1
+    if count < 3:
+        return ()
+    return (
+        f"the table tells {count} sessions apart, and the loop parts drops into two groups of "
+        "sessions: if more than two sessions differ, close the loop on one at a time",
+    )
+
+
 def _partings(data: datasets.Drops) -> Partings:
     """How these drops may be parted into two sessions."""
     if data.session is None:
@@ -407,7 +418,8 @@ def _measured(
         measured[q], sigmas[q] = values, float(declared[key])
     if len(data.y1_m) < LEAST_DROPS:
         raise InputError(
-            f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs four or more"
+            f"{data.manifest.table()}: {len(data.y1_m)} drop{'s' * (len(data.y1_m) != 1)}; the "
+            "loop needs four or more, and rows with the same numbers count once"
         )
     least, most = np.nanmin(data.y1_m), np.nanmax(data.y1_m)
     if least == most and np.ptp(data.y0_m) > 0.0:
