@@ -264,7 +264,7 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     rows.append(("something is missing", chance))
     beside = ""
     if content["verdict"] == "unknown" and content["nearest"]:
-        beside = f"beside {' with '.join(content['nearest']['effects'])}, "
+        beside = f"with {' and '.join(content['nearest']['effects'])} in the model, "
     left = f"{beside}{p_text(last)}: chance leaves as much {times(last)}"
     rows.append(("something is left", left))
     for name, each in content["parameters"].items():

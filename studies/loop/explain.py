@@ -143,8 +143,8 @@ def _with_spared(
     state: State, explained: list[Explanation], parts: Sequence[Tried]
 ) -> list[Explanation]:
     """The same: if one holds, what was spared holds beside it, and what only its residuals speak
-    against, unless it is far from the likeliest of all these; and no pair that is less likely than
-    a single effect that holds. The ``parts`` of pairs are single effects."""
+    against, unless it is far from the likeliest of all these; and no such pair that is less likely
+    than a single effect that holds. The ``parts`` of pairs are single effects."""
     if not any(each.holds for each in explained):
         return explained
     least = max(state.standing(each) for each in explained if each.holds or each.spared)
@@ -156,13 +156,13 @@ def _with_spared(
             each = _but_for_residuals(state, each, parts, scored)
         kept = each.spared and state.standing(each) > least
         out.append(replace(each, holds=True, why_not="") if kept else each)
-    alone = [state.standing(e) for e in out if e.holds and len(e.posterior.effects) == 1]
-    enough = max(alone, default=-np.inf)
+    singles = [state.standing(e) for e in out if e.holds and len(e.posterior.effects) == 1]
+    enough = max(singles, default=-np.inf)
     return [
-        replace(each, holds=False, why_not="one effect alone is likelier")
-        if each.holds and len(each.posterior.effects) > 1 and state.standing(each) < enough
+        before
+        if each.spared and len(each.posterior.effects) > 1 and state.standing(each) < enough
         else each
-        for each in out
+        for before, each in zip(explained, out, strict=True)
     ]
 
 
@@ -179,8 +179,7 @@ def _but_for_residuals(
 
 def named(state: State, explained: Sequence[Explanation]) -> list[Explanation]:
     """The credible set of what holds for itself, and all that holds beside it; likeliest first."""
-    least = max((state.standing(each) for each in explained if each.holds), default=0.0) - NEAR
-    alone = [e for e in explained if e.holds and not e.spared and state.standing(e) > least]
+    alone = [each for each in explained if each.holds and not each.spared]
     shares = shares_of([state.standing(each) for each in alone])
     beside = [each for each in explained if each.holds and each.spared]
     out = [*(alone[i] for i in credible(shares, CREDIBLE)), *beside]

@@ -262,6 +262,7 @@ def log_likelihoods(
                 total = logs[node]
                 for row in range(starts[group], starts[group + 1]):
                     total += each[row]
+                total = max(-1e300, total)  # in this order, no number is the least likely
                 summed[node, group] = total
                 best[group] = max(best[group], total)
         out[case] = grid.constant[n] + best.sum()

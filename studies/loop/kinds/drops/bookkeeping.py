@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -60,10 +61,19 @@ class Table:
     unit: tuple[float, ...]
     predict: Callable[[Array], Array]
 
-    @property
-    def highest_m(self) -> float:
-        """Above it a height is nearer to ten times the others than to the highest of them."""
-        return float(np.quantile(self.y0_m, USUAL, method="lower")) * math.sqrt(10.0)
+    @cached_property
+    def tenfold(self) -> NDArray[np.bool_]:
+        """Drops (drops,) of heights that are nearer to ten times the others than to the highest of
+        them, and of readings that ask for a tenth: they would bend a fitted course."""
+        above = self.y0_m > float(np.quantile(self.y0_m, USUAL, method="lower")) * math.sqrt(10.0)
+
+        def far(y0_m: Array) -> Array:
+            ratio = np.abs(self.values) / self.predict(y0_m)
+            return np.nanmedian(np.abs(np.log(np.maximum(ratio, 1e-9))), axis=1)
+
+        if not above.any():
+            return above
+        return np.asarray(above & (far(0.1 * self.y0_m) < far(self.y0_m)))
 
 
 def misread(table: Table, before: float = 0) -> tuple[list[Entry], bool]:
@@ -106,7 +116,8 @@ def _in_a_pattern(table: Table, rows: list[int]) -> bool:
     n, count = len(table.y0_m), len(rows)
     if count < 2:
         return False
-    ranks = (np.arange(n), np.argsort(np.argsort(table.y0_m, kind="stable")))
+    heights = np.where(table.tenfold, 0.1 * table.y0_m, table.y0_m)
+    ranks = (np.arange(n), np.argsort(np.argsort(heights, kind="stable")))
     width = 1 + min(int(np.ptp(rank[rows])) for rank in ranks)
     # as many rows somewhere within the width, in either
     several, fewer = math.comb(width, count), math.comb(width - 1, count)
@@ -168,12 +179,11 @@ class Smooth:
 
         every = np.arange(len(table.y0_m))
         predicted, terms = table.predict(table.y0_m), _terms(table, every, table.y0_m)
-        beside = table.y0_m <= table.highest_m  # others would bend the course to themselves
         found = cls(
             table, np.zeros((terms.shape[1], predicted.shape[1])), np.ones(predicted.shape[1])
         )
         for q, sigma in enumerate(table.sigma.T):
-            there = np.isfinite(table.values[:, q]) & beside
+            there = np.isfinite(table.values[:, q]) & ~table.tenfold
             design = terms[there] * (predicted[:, q] / sigma)[there, None]
             seen = (table.values[:, q] / sigma)[there]
             if seen.size <= 2 * terms.shape[1]:
@@ -203,7 +213,8 @@ class Smooth:
 
 def _terms(table: Table, rows: NDArray[np.int64], y0_m: Array) -> Array:
     """Polynomials (n, terms) of the height and of the logarithm of the order."""
-    low, high = table.y0_m.min(), min(table.y0_m.max(), table.highest_m)
+    fitted = table.y0_m[~table.tenfold]
+    low, high = fitted.min(), fitted.max()
     spread = high - low > 5.0 * table.sigma_y0_m
     heights = np.clip(2.0 * (y0_m - low) / max(high - low, 1e-9) - 1.0, -1.0, 1.0)
     degree = min(DEGREE, len(table.y0_m) // 8) if spread else 0

@@ -333,8 +333,8 @@ def _many_sessions(partings: Partings) -> tuple[str, ...]:
     if count < 3:
         return ()
     return (
-        f"the table tells {count} sessions apart, and the loop parts drops into two groups of "
-        "sessions: if more than two sessions differ, close the loop on one at a time",
+        f"the table has {count} sessions; the loop compares earlier ones with later ones, or one "
+        "with all others: if they differ otherwise, close the loop on two of them at a time",
     )
 
 
