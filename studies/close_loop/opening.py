@@ -141,7 +141,7 @@ def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
     for name in names:
         size = ""
         if own := next((each for each in _parameters(name) if each in finding.parameters), ""):
-            # of parameters that have one name, as many effects before this one have theirs
+            # effects before this one may have parameters of the same name: theirs come first
             before = names[: names.index(name)]
             count = sum(_parameters(each).count(own) for each in before)
             alike = [e for e in finding.parameters if re.fullmatch(rf"{own}(_\d+)?", e)]

@@ -252,17 +252,6 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
     )
 
 
-def _sessions(path: Path, rows: Rows) -> tuple[str, ...] | None:
-    """The session of each row; None where none is written. Raises InputError."""
-    found = tuple(row.get("session", "") for _, row in rows)
-    if not any(found):
-        return None
-    if "" in found:
-        line = rows[found.index("")][0]
-        raise InputError(f"{path}:{line}: session is empty; name one for every drop or for none")
-    return found
-
-
 def read_drops(folder: Path) -> Drops:
     """Read a dataset of kind ``drops``; at least three drops of which both heights were read.
 
@@ -304,7 +293,7 @@ def read_drops(folder: Path) -> Drops:
         y1_m=1e-3 * y1,
         contact_time_s=_unless_empty(times),
         peak_force_N=_unless_empty(peaks),
-        session=_sessions(path, rows),
+        session=tuple(row["session"] for _, row in rows) if "session" in rows[0][1] else None,
         sigma_y_m=None if sigma is None else 1e-3 * sigma,
         sigma_y0_m=None if sigma_0 is None else 1e-3 * sigma_0,
         again=tuple(int(n) for n in column(path, twice, "drop", whole=True)),

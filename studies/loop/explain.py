@@ -28,7 +28,7 @@ from .search import Tried, fit_pairs, fit_refined
 LEFT_ALARM = 0.01
 CREDIBLE = 0.97
 LOOKED_AT, MOST_LOOKED_AT = 0.999, 8
-# Nats by which what is in a credible set may be less likely than its best.
+# What is so many nats less likely than the likeliest is beyond its credible set.
 NEAR = -math.log(1.0 - CREDIBLE)
 # An effect is refined that explains this share of what the likeliest does.
 REFINED = 0.2
@@ -67,7 +67,7 @@ class Explanation:
     holds: bool
     why_not: str
     spared: bool
-    against: float = 0.0
+    against: float
 
 
 @dataclass(frozen=True)
@@ -142,9 +142,10 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
 def _with_spared(
     state: State, explained: list[Explanation], parts: Sequence[Tried]
 ) -> list[Explanation]:
-    """The same: if one holds, what was spared holds beside it, and what only its residuals speak
-    against, unless it is far from the likeliest of all these; and no such pair that is less likely
-    than a single effect that holds. The ``parts`` of pairs are single effects."""
+    """The same. If one holds, others hold beside it: those that were spared, and those that only
+    their residuals speak against, unless they are far less likely than the likeliest. A pair among
+    these has to be likelier than each single effect that holds. ``parts`` are the single effects.
+    """
     if not any(each.holds for each in explained):
         return explained
     least = max(state.standing(each) for each in explained if each.holds or each.spared)
@@ -171,7 +172,7 @@ def _but_for_residuals(
 ) -> Explanation:
     """An explanation that is spared if only what it leaves speaks against it; else as it was."""
     found = each.posterior
-    if not each.against or _large(state.data, each.left.residual) or _shape_beats(state, found):
+    if not each.against or _too_large(state, found, each.left):
         return each
     why, held, scores, _ = _judged(state, found, parts, scored)
     return each if why else replace(each, held=held, scores=scores, spared=True)
@@ -219,7 +220,7 @@ def _judged(
     parts: Sequence[Tried],
     scored: dict[tuple[str, ...], Scores],
 ) -> tuple[str, HeldOut | None, Scores | None, bool]:
-    """Why held-out data refuse a model, in words, empty where they do not; what they are of it; its
+    """Why held-out data refuse a model, in words, empty where they do not; its errors on them; its
     scores; and whether only the scores of too few speak against it."""
     if not state.judge.held.values.size:
         return "", None, None, False
@@ -245,28 +246,29 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
     if left.p_value <= LEFT_ALARM:
         told = f"test for {left.statistic}: {p_text(left.p_value)}"
         return f"what it leaves is not noise ({told})"
+    return _too_large(state, found, left)
+
+
+def _too_large(state: State, found: Posterior, left: Adequacy) -> str:
+    """Why what a model leaves is too large, or too much of one shape, in words; empty where it is
+    not."""
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
-    if _shape_beats(state, found):
+    cost = state.cost * (len(found.effects) - 1)
+    if state.first.unlisted > found.log_evidence - cost + state.margin(found):
         return f"a shape that no effect has explains more ({state.first.shape})"
     return ""
 
 
-def _shape_beats(state: State, found: Posterior) -> bool:
-    """Whether something unlisted is so much likelier than a model that it refuses it."""
-    cost = state.cost * (len(found.effects) - 1)
-    return state.first.unlisted > found.log_evidence - cost + state.margin(found)
-
-
 def against(left: float | None) -> float:
-    """What the p-value of a model's residuals counts against it in nats: nothing where none refuses
-    it."""
+    """Nats that a model's residuals count against it, by their p-value ``left``; zero where that
+    does not refuse the model."""
     return 0.0 if left is None or left > LEFT_ALARM else odds_against(left)
 
 
 def odds_against(p_value: float) -> float:
-    """The nats that a p-value can be at most against what it is a test of (T. Sellke, M. J. Bayarri
-    and J. O. Berger, Am. Stat. 55 (2001) 62)."""
+    """The nats that a p-value can count at most against the hypothesis that it tests (T. Sellke,
+    M. J. Bayarri and J. O. Berger, Am. Stat. 55 (2001) 62)."""
     p = max(p_value, 1e-300)
     return max(-1.0 - math.log(-p * math.log(p)), 0.0) if p < 1.0 / math.e else 0.0
 

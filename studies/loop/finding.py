@@ -102,9 +102,9 @@ class Finding:
     missing.
     ``rows`` numbers the problem's rows that were fitted; ``residual_before`` are their quantile
     residuals. ``theta`` are the likeliest parameters of the reported ``model``, ``parameters``
-    posterior medians with intervals. ``unlike`` is a record that nothing known
-    explains with the others, where that may be what is wrong.
-    ``remarks`` tell by reported model and effect what its parameters do not.
+    posterior medians with intervals. ``unlike`` is a record that nothing known explains with the
+    others, where that may be what is wrong. ``remarks`` tell what parameters do not, such as where
+    an effect acts, by reported model and by effect.
     ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
     of ``evidences``. ``limits`` and ``needed_d``: in which directions, and at which size, an effect
     is noticed nine times in ten.

@@ -256,13 +256,13 @@ def log_likelihoods(
             m = predicted[at_prediction[case], node]
             for row in range(rows):  # without branches or signed indices, so that it is vectorised
                 x = abs((y[row] - m[row] - carried[row]) * stretch[row]) * (1.0 / STEP)
-                low = np.uint32(min(last, x))  # in this order, what is no number is far off
+                low = np.uint32(min(last, x))  # in this order NaN gives `last`
                 each[row] = density[low] + (x - low) * (density[low + 1] - density[low])
             for group in range(groups):
                 total = logs[node]
                 for row in range(starts[group], starts[group + 1]):
                     total += each[row]
-                total = max(-1e300, total)  # in this order, no number is the least likely
+                total = max(-1e300, total)  # in this order NaN gives -1e300
                 summed[node, group] = total
                 best[group] = max(best[group], total)
         out[case] = grid.constant[n] + best.sum()

@@ -415,7 +415,7 @@ def _units(problem: Problem, data: Sample) -> Array:
 
 
 def _remarks(tied: Sequence[Posterior]) -> dict[tuple[str, ...], Mapping[str, str]]:
-    """By the effects of each model and by effect what its parameters do not tell."""
+    """What parameters do not tell, such as where an effect acts: by reported model, by effect."""
     models = {each.effects: each.fitted.model for each in tied}
     return {k: each.remarks for k, each in models.items() if isinstance(each, Chosen)}
 

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from scipy.stats import qmc
@@ -146,13 +147,13 @@ def resolved(data: Sample, base: Fitted, model: Model) -> Model:
 def chosen(every: Sample, beside: Fitted, model: Model) -> Model:
     """The model as all data choose it beside a fit of its other effects; itself where they choose
     nothing, or the fit has that effect itself."""
-    if not isinstance(model, Chosen) or model.choices < 2 or _chooses(beside.model):
+    if not _chooses(model) or _chooses(beside.model):
         return model
     there = fit(every, beside.model, beside.u, beside.noise, iterations=0)
     return model.chosen(every, there)
 
 
-def _chooses(model: Model) -> bool:
+def _chooses(model: Model) -> TypeGuard[Chosen]:
     return isinstance(model, Chosen) and model.choices > 1
 
 

@@ -436,6 +436,19 @@ def test_a_session_begins_where_it_does_whichever_drops_are_held_out(few, tmp_pa
     assert found.remarks == alone.remarks
 
 
+def test_drops_without_a_session_are_one_of_their_own_and_told(few, tmp_path):
+    """A cell may be empty."""
+    names = ["a"] * 20 + [""] * 2 + ["b"] * 18
+    problem = drops_problem(read_drops(two_days(tmp_path, extra=("session", names))))
+    (doubt,) = [each for each in problem.warnings if "3 sessions" in each]
+    assert "the drops without a name among them" in doubt
+    found = find(problem)
+    assert found.effects == ("session",)
+    assert found.remarks["session",]["session"] in ("of no name, b", "of b")
+    unnamed = drops_problem(read_drops(two_days(tmp_path, extra=("session", [""] * 40))))
+    assert not any("sessions" in each for each in unnamed.warnings)
+
+
 def test_a_session_that_the_table_tells_may_have_two_drops():
     drop = 1.0 + np.arange(12)
     told = Partings(drop, np.repeat([0, 1], [2, 10]), ("a", "b"))

@@ -56,10 +56,6 @@ BAD = {
     "drops": [
         (table(""), "no rows under the columns"),
         (table("1,10,x\n2,2,1\n3,3,1\n"), r"drops.csv:2: y1_mm is no number: 'x'"),
-        (
-            {"drops.csv": lambda _: "drop,y0_mm,y1_mm,session\n1,10,5,a\n2,10,5,\n3,10,5,b\n"},
-            r"drops.csv:3: session is empty",
-        ),
         (table("1,1_0,5\n2,10,5\n3,10,5\n"), r"drops.csv:2: y0_mm is no number: '1_0'"),
         (table("1,٣,5\n2,10,5\n3,10,5\n"), r"drops.csv:2: y0_mm is no number"),
         (table("1,1e308,5\n2,10,5\n3,10,5\n"), "at most 1e.12 in size"),

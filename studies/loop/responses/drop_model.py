@@ -35,7 +35,7 @@ DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
 # Share of a height by which slopes over it are found.
 STEP = 1e-3
-# In decades of stiffness, by which it is found what a second session does.
+# Step in decades of stiffness, for the difference that a second session makes.
 SESSION_STEP = 1e-3
 # In the unit box: farther away a correction's slopes tell no more.
 TRUSTED = 0.25

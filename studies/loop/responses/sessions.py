@@ -15,7 +15,7 @@ from ..sample import Sample
 
 # How many drops a session has, to be told from slips: one that the table tells, and others.
 FEWEST_TOLD, FEWEST_IN_SESSION = 2, 4
-# Nats by which another beginning of the second session is hardly less likely.
+# Another beginning that gains at most so many nats less is nearly as likely.
 NEARLY = 2.0
 # Residuals beyond so many standard deviations count as if they were no larger.
 SOFT = 5.0

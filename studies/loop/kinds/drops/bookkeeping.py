@@ -37,7 +37,7 @@ PRIOR = {"gaussian": 1.0 - sum(OTHERS.values()), **OTHERS}
 KINDS = 5
 # Standard deviations from which on a row is looked at.
 SUSPECT = 4.0
-# A share of the heights that no slip reaches.
+# At least this share of the heights has no slip.
 USUAL = 0.9
 # Heights that were meant are within this factor of all others.
 BEYOND = 1.2
@@ -63,8 +63,8 @@ class Table:
 
     @cached_property
     def tenfold(self) -> NDArray[np.bool_]:
-        """Drops (drops,) of heights that are nearer to ten times the others than to the highest of
-        them, and of readings that ask for a tenth: they would bend a fitted course."""
+        """Which drops (drops,) have a height that seems ten times too large: it lies far above the
+        others, and a tenth of it suits the readings better. They would bend a fitted course."""
         above = self.y0_m > float(np.quantile(self.y0_m, USUAL, method="lower")) * math.sqrt(10.0)
 
         def far(y0_m: Array) -> Array:
@@ -119,7 +119,7 @@ def _in_a_pattern(table: Table, rows: list[int]) -> bool:
     heights = np.where(table.tenfold, 0.1 * table.y0_m, table.y0_m)
     ranks = (np.arange(n), np.argsort(np.argsort(heights, kind="stable")))
     width = 1 + min(int(np.ptp(rank[rows])) for rank in ranks)
-    # as many rows somewhere within the width, in either
+    # ways to choose as many rows within the width, in the order or in the heights
     several, fewer = math.comb(width, count), math.comb(width - 1, count)
     ways = 2 * ((n - width + 1) * several - (n - width) * fewer)
     if np.ptp(np.diff(np.sort(rows))) == 0:

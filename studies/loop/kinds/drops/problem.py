@@ -60,6 +60,8 @@ SET_APART = 2.0
 ONE_HEIGHT = 3.0
 # Numbers missing, over the usual step between them, after which another session began.
 MISSING = 10.0
+# What the session of drops is called whose cell for it is empty.
+NAMELESS = "no name"
 # Standard deviations by which a fitted height may differ from the one that was read.
 MOST_SHIFTED = 3.0
 SCALES = (1e3, 1e6, 1.0)
@@ -332,9 +334,10 @@ def _many_sessions(partings: Partings) -> tuple[str, ...]:
     count = int(partings.label.max()) + 1
     if count < 3:
         return ()
+    empty = ", the drops without a name among them" * (NAMELESS in partings.names)
     return (
-        f"the table has {count} sessions; the loop compares earlier ones with later ones, or one "
-        "with all others: if they differ otherwise, close the loop on two of them at a time",
+        f"the table has {count} sessions{empty}; the loop compares earlier ones with later ones, "
+        "or one with all others: if they differ otherwise, close the loop on two of them at a time",
     )
 
 
@@ -342,8 +345,9 @@ def _partings(data: datasets.Drops) -> Partings:
     """How these drops may be parted into two sessions."""
     if data.session is None:
         return Partings(data.drop, np.cumsum(_later(data.drop)))
-    names = tuple(dict.fromkeys(data.session))
-    return Partings(data.drop, np.array([names.index(each) for each in data.session]), names)
+    session = [each or NAMELESS for each in data.session]
+    names = tuple(dict.fromkeys(session))
+    return Partings(data.drop, np.array([names.index(each) for each in session]), names)
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:
